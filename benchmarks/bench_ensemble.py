@@ -21,7 +21,6 @@ mbrl-lib pins a Hydra that this project cannot use, so it gets an environment of
     python benchmarks/bench_ensemble.py --published .../cartpole/learned.pkl
 """
 
-import argparse
 import json
 import math
 import time
@@ -30,6 +29,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from common import options
 from torch import Tensor
 
 from nsde_torch.data import DataSet, Windows, split
@@ -61,13 +61,9 @@ class Case:
 
 
 def main() -> None:
-    """Fit both on each data set and seed; print and write the scores."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = options(__doc__, out=Path("bench_ensemble.json"))
     parser.add_argument("--published", type=Path, help="the authors' learned.pkl (or random.pkl)")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
-    parser.add_argument("--out", type=Path, default=Path("bench_ensemble.json"))
     a = parser.parse_args()
     torch.set_num_threads(1)
     system = make_system("cartpole")

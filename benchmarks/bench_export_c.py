@@ -2,12 +2,12 @@
 
     python benchmarks/bench_export_c.py declared RUN [--program build/flight_computer] [--package controller.pt2]
 
-`declared` is the physics alone, RUN what `nsde train system=hexacopter` writes. The states are those of
-bench_export.py: along the lemniscate, 20 ms apart, off it by more than a flight's errors, so that nearly all plans take
-two iterations. C is compiled with -O2 (CC names the compiler) and with -O3 -march=native, into a process that does
-nothing else; the others are run by examples/flight_computer, if it is given. The package is that of the last RUN, since
-to make one takes minutes. Forms take turns, and a row shows the lowest and the highest of the repeats. On a busy
-computer the tail is that of its other work; the time of the processor for this thread alone, which C tells too, is not.
+`declared` is the physics alone, RUN what `nsde train system=hexacopter` writes. The states are along the lemniscate, 20
+ms apart, off it by more than a flight's errors, so that nearly all plans take two iterations. C is compiled with -O2
+(CC names the compiler) and with -O3 -march=native, into a process that does nothing else; the others are run by
+examples/flight_computer, if it is given. The package is that of the last RUN, since to make one takes minutes. Forms
+take turns, and a row shows the lowest and the highest of the repeats. On a busy computer the tail is that of its other
+work; the time of the processor for this thread alone, which C tells too, is not.
 
 Of the controller in Python, which is C within, there are two rows: what `nsde track` calls a solve, and a plan with all
 that is around it. Last come the seconds from the start of `nsde track` to its first plan, with empty caches and again.
@@ -15,7 +15,7 @@ that is around it. Last come the seconds from the start of `nsde track` to its f
 
 from __future__ import annotations
 
-import argparse
+import csv
 import json
 import os
 import re
@@ -29,7 +29,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from bench_export import PERIOD, write
+from common import options
 
 from nsde_torch.control.compiled import compiler
 from nsde_torch.control.controller import Controller, Plan, SafetyOptions
@@ -40,14 +40,24 @@ from nsde_torch.control.shapes import lemniscate
 from nsde_torch.control.solve import SolverOptions
 from nsde_torch.export.verify import along, resident_mb
 from nsde_torch.export.write import export
+from nsde_torch.systems.multirotor import Multirotor
 
 Times = dict[str, float]
+PERIOD = 0.02
 DRIVER = Path(__file__).with_suffix(".c")
 FORMS = {
     "C, double, -O2": ("float64", ("-O2",)),
     "C, double, -O3 -march=native": ("float64", ("-O3", "-march=native")),
     "C, float, -O2": ("float32", ("-O2",)),
 }
+
+
+def write(file: Path, times: list[float], rows: list[list[float]]) -> None:
+    """States over time as a CSV file."""
+    with file.open("w", newline="", encoding="utf-8") as opened:
+        csv.writer(opened).writerows(
+            [["t", *Multirotor.state_names], *([t, *x] for t, x in zip(times, rows, strict=True))]
+        )
 
 
 def written(run: str, file: Path, kind: str, precision: str) -> Path:
@@ -88,6 +98,7 @@ def host(program: Path, file: Path, folder: Path) -> Callable[[], Times]:
     def run() -> Times:
         words = ["--controller", file, "--log", folder / "log.csv", "--reference", folder / "reference.csv"]
         done = subprocess.run([str(program), *map(str, words)], check=True, capture_output=True, text=True)
+        print(next(row for row in done.stdout.splitlines() if row.startswith("solves:")), flush=True)
         solves = re.search(r"p50 ([\d.]+) ms.*p99 ([\d.]+) ms.*max ([\d.]+) ms", done.stdout)
         memory = re.search(r"memory: ([\d.]+) MB", done.stdout)
         assert solves is not None
@@ -142,15 +153,11 @@ def first_plan(run: str, folder: Path) -> float:
 
 
 def main() -> None:
-    """Run the measurement."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = options(__doc__, repeats=5)
     parser.add_argument("runs", nargs="+")
     parser.add_argument("--program", type=Path, default=None)
     parser.add_argument("--package", type=Path, default=None)
     parser.add_argument("--seconds", type=float, default=20.0)
-    parser.add_argument("--repeats", type=int, default=5)
     given = parser.parse_args()
     torch.set_num_threads(1)
     path, problem, count = Reference(lemniscate()), ProblemOptions(), round(given.seconds / PERIOD)

@@ -8,12 +8,12 @@ virtual time (the link, the checks and the commands of `nsde fly`), one after th
 
 from __future__ import annotations
 
-import argparse
 import time
 from pathlib import Path
 from statistics import fmean
 
 import torch
+from common import options
 
 from nsde_torch.control.controller import SafetyOptions
 from nsde_torch.control.problem import ProblemOptions
@@ -28,10 +28,7 @@ PERIOD = 0.02
 
 
 def main() -> None:
-    """Run the measurement."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = options(__doc__)
     parser.add_argument("run", type=Path)
     parser.add_argument("files", type=Path, nargs="+")
     parser.add_argument("--flights", type=int, default=5)

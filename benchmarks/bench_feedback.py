@@ -13,24 +13,21 @@ actuator has no lag, a lag of 40 ms that is declared, or the same lag undeclared
     python benchmarks/bench_feedback.py --seeds 30
 
 With --hexacopter: three flights of 45 s for each seed of a hexacopter with motor lag, drag and gusts, flown by sticks
-through an attitude controller (benchmarks/hexacopter_loops.py), true effects declared; means over gains and lag.
+through a cascade (`blind/loop_flight.py`; controllers are its regimes a, b and c), true effects declared.
 
     python benchmarks/bench_feedback.py --hexacopter --seeds 5
 """
 
-import argparse
-import json
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from hexacopter_loops import STICKS, TRUTH
-from hexacopter_loops import fly as fly_hexacopters
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from common import options, write_json
+from loop_flight import STICKS, Flight
+from loop_flight import fly as fly_multirotors
+from loop_machine import Machine
 
 from nsde_torch.data import Run
 from nsde_torch.sysid.identify import identify_in_loop
@@ -41,22 +38,20 @@ from tests.helpers.rate_loops import CONTROLLERS, GAIN, RateLoop, fly
 
 LAGS = {"none": (False, False), "declared": (True, True), "undeclared": (True, False)}
 LEVEL = 0.9
+TRUTH = {"thrust_gain": 4.6, "roll_gain": 108.0, "pitch_gain": 108.0, "yaw_gain": 3.4}
+TRUTH["motor_lag.time_constant"] = 0.05
 
 
 def main() -> None:
-    """Measure, print and write."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--seeds", type=int, default=30)
-    parser.add_argument("--first-seed", type=int, default=0)
+    parser = options(__doc__, seeds=30, first_seed=0, out=Path("bench_feedback.json"))
     parser.add_argument("--hexacopter", action="store_true", help="three axes instead of one")
-    parser.add_argument("--out", type=Path, default=Path("bench_feedback.json"))
     a = parser.parse_args()
     torch.set_num_threads(1)
     seeds = range(a.first_seed, a.first_seed + a.seeds)
     if a.hexacopter:
-        a.out.write_text(json.dumps([hexacopters(c, seeds) for c in CONTROLLERS[:3]], indent=1))
+        write_json(
+            a.out, [hexacopters(c, regime, seeds) for c, regime in zip(CONTROLLERS, "abc", strict=False)]
+        )
         return
     rows: list[dict[str, Any]] = []
     print(
@@ -71,10 +66,10 @@ def main() -> None:
                 f"{line(r['without'])} |   {line(r['sticks'])}  {r['printed']:4.0%}",
                 flush=True,
             )
-            a.out.write_text(json.dumps(rows, indent=1))
+            write_json(a.out, rows)
     moved = others(seeds)
     print("; ".join(f"{k} {v:.0%}" for k, v in moved.items()))
-    a.out.write_text(json.dumps([*rows, moved], indent=1))
+    write_json(a.out, [*rows, moved])
 
 
 def case(controller: str, seeds: range, lag: bool, told: bool) -> dict[str, Any]:
@@ -96,41 +91,45 @@ def case(controller: str, seeds: range, lag: bool, told: bool) -> dict[str, Any]
     }
 
 
-def hexacopters(controller: str, seeds: range) -> dict[str, Any]:
+def fly_hexacopters(regime: str, seeds: range) -> list[list[Run]]:
+    """Three flights by sticks for each seed."""
+    effects = {"motor_lag": {"time_constant": 0.05}, "linear_drag": {"drag": (0.15, 0.15, 0.05)}}
+    gust = (0.5, 0.5, 0.3, 3.0, 3.0, 0.3)
+    machine = Machine("hexacopter", 4.6, 0.0, (108.0, 108.0, 3.4), (0.6, 0.6), effects, gust)
+    asked = [Flight(machine, "sticks", regime, 45.0, 0.0, 8 * seed + k) for seed in seeds for k in range(3)]
+    runs = [
+        Run(f"flight_{i % 3}", one.t, one.x, one.u, extra={name: one.extra[name] for name in STICKS})
+        for i, one in enumerate(fly_multirotors(asked))
+    ]
+    return [runs[k : k + 3] for k in range(0, len(runs), 3)]
+
+
+def hexacopters(controller: str, regime: str, seeds: range) -> dict[str, Any]:
     """Figures of the gains and the lag of hexacopters, printed and returned."""
     system = make_system("hexacopter", effects=["linear_drag", "motor_lag"])
-    rows: dict[str, list[tuple[float, float, float, bool, bool]]] = {name: [] for name in TRUTH}
+    rows: dict[str, list[list[float]]] = {name: [] for name in TRUTH}
     told = []
-    for runs in fly_hexacopters(controller, seeds=seeds):
+    for runs in fly_hexacopters(regime, seeds):
         plain, found = (identify_in_loop(system, runs, instruments=names) for names in ((), STICKS))
         assert found.instrumented is not None
         assert found.loop is not None
         told.append((found.loop.closed, found.loop.predictive, adopted(found.instrumented, found.loop)))
         for name, true in TRUTH.items():
             j = found.vector.labels.index(name)
-            rows[name].append(
-                (
-                    plain.values[j] / true - 1,
-                    found.values[j] / true - 1,
-                    found.half_widths(LEVEL)[j] / true,
-                    bool(abs(plain.values[j] - true) <= plain.half_widths(LEVEL)[j]),
-                    bool(abs(found.values[j] - true) <= found.half_widths(LEVEL)[j]),
-                )
-            )
+            rows[name].append([])
+            for one in (plain, found):
+                off, half = one.values[j] - true, one.half_widths(LEVEL)[j]
+                rows[name][-1] += [off / true, half / true, abs(off) <= half]
     closed, predictive, printed = np.mean(told, axis=0)
     print(f"{controller}: closed {closed:.0%}, predictive {predictive:.0%}, by instruments {printed:.0%}")
-    print("                          bias without, holds | with sticks: bias, +-, holds")
-    out: dict[str, Any] = {
-        "controller": controller,
-        "closed": closed,
-        "predictive": predictive,
-        "printed": printed,
-    }
-    for name, of_seeds in rows.items():
-        a, b, half, holds_a, holds_b = (float(v) for v in np.mean(of_seeds, axis=0))
-        print(f"{name:25s} {a:+11.1%} {holds_a:7.0%} | {b:+13.1%} {half:6.1%} {holds_b:6.0%}", flush=True)
-        out[name] = {"without": [a, holds_a], "sticks": [b, half, holds_b]}
-    return out
+    print("                          without: bias, +-, holds | with sticks: bias, +-, holds")
+    means = {name: np.mean(of_seeds, axis=0).tolist() for name, of_seeds in rows.items()}
+    for name, (a, width, holds, b, half, holds_b) in means.items():
+        print(
+            f"{name:25s} {a:+9.1%} {width:6.1%} {holds:6.0%} | {b:+12.1%} {half:6.1%} {holds_b:6.0%}",
+            flush=True,
+        )
+    return {"controller": controller, "closed": closed, "predictive": predictive, "printed": printed, **means}
 
 
 def figures(found: Sequence[Identification]) -> dict[str, float]:

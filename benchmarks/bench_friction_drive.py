@@ -10,19 +10,16 @@ Butterworth filter at 100 Hz, central differences, and every `--step` the states
     python benchmarks/bench_friction_drive.py --seed 1 --count 10
 """
 
-import argparse
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
+from common import Array, options
 
 import nsde_torch
 from nsde_benchmarks.public.emps import PositioningDrive, filtered_log
 from nsde_torch.recording import assemble
-
-Array = NDArray[np.float64]
 
 STEP, CONTROL = 5e-5, 1e-3
 WITHIN = 0.02
@@ -30,25 +27,15 @@ WITHIN = 0.02
 
 @dataclass(frozen=True)
 class Truth:
-    """One drive.
+    """One drive."""
 
-    Args:
-        mass: [kg].
-        viscous: b [N s/m].
-        dry: c [N].
-        offset: o [N].
-        speed: Largest of the ramps [m/s].
-        ripple: Standard deviation of the force that nobody logs, new every millisecond [N].
-        tick: Of the encoder [m].
-    """
-
-    mass: float
-    viscous: float
-    dry: float
-    offset: float
-    speed: float
-    ripple: float
-    tick: float
+    mass: float  # [kg]
+    viscous: float  # b [N s/m]
+    dry: float  # c [N]
+    offset: float  # o [N]
+    speed: float  # largest of the ramps [m/s]
+    ripple: float  # standard deviation of the force that nobody logs, new every millisecond [N]
+    tick: float  # of the encoder [m]
 
 
 def drawn(rng: np.random.Generator) -> Truth:
@@ -114,10 +101,7 @@ def readings(found: Any) -> dict[str, tuple[float, float, float]]:
 
 
 def main() -> None:
-    """Simulate, diagnose, and print a table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--count", type=int, default=10)
+    parser = options(__doc__, seed=1, count=10)
     parser.add_argument("--step", type=float, default=0.005, help="of the log that is diagnosed [s]")
     arguments = parser.parse_args()
     torch.set_num_threads(1)

@@ -20,7 +20,6 @@ the horizon: its diffusion grows with eta, so that intervals are wider than the 
 outside of the data.
 """
 
-import argparse
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -28,7 +27,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from common import train_all
+from common import options, train_all
 
 import nsde_torch
 from nsde_torch.data import DataSet, Windows
@@ -55,14 +54,7 @@ Errors = dict[str, dict[str, float]]
 
 
 def data_of(system: str, *, seed: int, starts: int, folder: Path) -> DataSet:
-    """Interventions on a machine; made once for each folder.
-
-    Args:
-        system: `hexacopter` or `quadrotor`.
-        seed: Seed of the flights that they start from.
-        starts: How many.
-        folder: Keeps them as CSV files.
-    """
+    """Interventions on a machine; made once for each folder."""
     path = folder / "data" / f"{system}_{seed}_{starts}"
     truth = path.with_suffix(".truth.json")
     if not truth.is_file():  # written last
@@ -72,16 +64,7 @@ def data_of(system: str, *, seed: int, starts: int, folder: Path) -> DataSet:
 
 @torch.no_grad()
 def oracle(system: str, data: DataSet, horizons: Sequence[float] = HORIZONS) -> Errors:
-    """Errors of the true machine without gusts, from the measured starts.
-
-    Args:
-        system: Name of the system.
-        data: Interventions on it.
-        horizons: Horizons [s].
-
-    Returns:
-        Group -> horizon -> root mean square of the error's norm, in the unit of the group.
-    """
+    """Errors of the true machine without gusts, from the measured starts."""
     plant = make_plant(
         system,
         generator=torch.Generator().manual_seed(0),
@@ -124,21 +107,7 @@ def interventions(
     particles: int = 199,
     data: DataSet | None = None,
 ) -> dict[str, Any]:
-    """How far off a trained model is on interventions, beside the oracle and a state that is held.
-
-    Args:
-        run_dir: A run directory of a hexacopter or quadrotor of this package.
-        seed: Seed of the flights that interventions start from; others than those that the model learned from.
-        starts: How many.
-        folder: Keeps the interventions.
-        particles: Paths from each start.
-        data: The interventions, where they are at hand.
-
-    Returns:
-        `errors`, `coverage_90` (None of a model without noise), `oracle` and `hold`: group -> horizon -> figure;
-        `coverage_90_by_distance`: horizon -> `eta` and group -> of the nearer and of the farther half of the starts;
-        `diverged`; `parameters` as in `metrics.json`; `trained_on`: whether the model has seen any of the flights.
-    """
+    """How far off a trained model is on interventions, beside the oracle and a state that is held."""
     run_dir = Path(run_dir)
     model = nsde_torch.load(run_dir)
     metrics = json.loads((run_dir / "metrics.json").read_text(encoding="utf-8"))
@@ -172,15 +141,7 @@ def interventions(
 
 @torch.no_grad()
 def by_distance(comparison: Comparison) -> dict[str, dict[str, list[float]]]:
-    """Coverage of 90 % intervals of a neural SDE in the half of the starts nearer to its data, and in the other.
-
-    Args:
-        comparison: Of that model alone.
-
-    Returns:
-        horizon -> "eta" (medians) and group -> figures of the nearer and of the farther half, by eta of the measured
-        state at the horizon.
-    """
+    """Coverage of 90 % intervals of a neural SDE in the half of the starts nearer to its data, and in the other."""
     (candidate,), (grid,), (scores,) = comparison.candidates, comparison.grids, comparison.scores
     model = candidate.model
     assert isinstance(model, NeuralSDE)
@@ -279,16 +240,11 @@ def _parameters(mine: Sequence[Mapping[str, Any]], system: str, names: Sequence[
 
 
 def main() -> None:
-    """Train what is missing, score, print."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = options(__doc__, seeds=5, first_seed=0, at_once=1)
     parser.add_argument(
         "--folder", type=Path, default=Path("results/interventions"), help="keeps data and runs"
     )
     parser.add_argument("--systems", nargs="+", default=list(SYSTEMS), choices=SYSTEMS, help="machines")
-    parser.add_argument("--seeds", type=int, default=5, help="number of seeds of flights")
-    parser.add_argument("--first-seed", type=int, default=0, help="the first of them")
     parser.add_argument(
         "--models",
         nargs="+",
@@ -299,7 +255,6 @@ def main() -> None:
     )
     parser.add_argument("--starts", type=int, default=400, help="interventions for each seed")
     parser.add_argument("--particles", type=int, default=199, help="paths from each start")
-    parser.add_argument("--at-once", type=int, default=1, help="trainings at a time")
     parser.add_argument(
         "--json", type=Path, default=None, help="file for all figures; default: in the folder"
     )

@@ -9,15 +9,12 @@ setpoints and ages of states at them, in both.
 
 from __future__ import annotations
 
-import argparse
 import multiprocessing
 import socket
-import sys
 import time
-from pathlib import Path
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from common import options
 
 from nsde_torch.control import shapes
 from nsde_torch.px4.flight.cascade import CascadeController, PathPoints
@@ -83,8 +80,7 @@ def flight(seconds: float, rate: float) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Fly twice and print."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = options(__doc__)
     parser.add_argument("--seconds", type=float, default=60.0, help="length of each flight")
     parser.add_argument("--rate", type=float, default=2000.0, help="hostile datagrams in a second")
     arguments = parser.parse_args()

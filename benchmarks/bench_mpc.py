@@ -10,7 +10,6 @@ most 40 states. States are drawn along both references, off them by the errors t
 
 from __future__ import annotations
 
-import argparse
 import json
 import time
 from collections.abc import Sequence
@@ -19,6 +18,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from common import options
 
 import nsde_torch
 from nsde_torch.control.autopilots import EstimatorOptions, PredictivePilot
@@ -306,16 +306,12 @@ def closed_loop(model: Any, seconds: float, solver: SolverOptions) -> dict[str, 
 
 
 def main() -> None:
-    """Run the study."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = options(__doc__, out=None)
     parser.add_argument("run", type=Path)
     parser.add_argument("--states", type=int, default=200)
     parser.add_argument("--seconds", type=float, default=40.0)
     parser.add_argument("--only", choices=("optimality", "peers", "loop"), default=None)
     parser.add_argument("--solvers", nargs="*", default=list(ITERATIONS))
-    parser.add_argument("--out", type=Path, default=None)
     given = parser.parse_args()
     torch.set_num_threads(1)
     model = nsde_torch.load(given.run)

@@ -14,25 +14,17 @@ Plants without a law are nulls: the logarithm itself is what is lost there.
 
 from __future__ import annotations
 
-import argparse
-import json
-import os
-import sys
 import tempfile
 from math import log
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
-
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-sys.path.insert(0, str(Path(__file__).resolve().parent / "blind"))
 
 import numpy as np
 import torch
-from law_machines import flights, make_data
+from common import STATES, options, read_json, save
+from law_machines import KINDS, Law, flights, make_data
 from loop_machine import Machine
-from small_machines import STATES, Small, run
-from study import save
+from small_machines import Small, columns, run
 
 import nsde_torch
 
@@ -88,16 +80,6 @@ SECONDS, RUNS, DT = 12.0, 5, 0.01
 FLIGHT_S, PATHS = 30.0, ("waypoints", "circle", "sines", "waypoints", "sines")
 
 
-class Coupling:
-    """A lateral force that goes with forward speed and yaw rate, in no catalogue."""
-
-    kind = SimpleNamespace(row=1)
-
-    def __call__(self, seen: np.ndarray, _: np.ndarray) -> np.ndarray:
-        """Of body velocity, rates and place (B, 9) [m/s2]."""
-        return 0.8 * seen[:, 0] * seen[:, 5]
-
-
 TORQUES = {
     "dry": lambda size, q, w: -size * np.tanh(w / 0.02),
     "quadratic": lambda size, q, w: -size * abs(w) * w,
@@ -123,12 +105,11 @@ MULTIROTORS = {
 
 def write_flights(folder: Path, system: str, effects: dict[str, Any], seed: int) -> None:
     """Flights of a multirotor as files."""
-    held = {"law": {"of": Coupling()}} if "law" in effects else effects
+    held = {"law": {"of": Law(KINDS[system][3], 0.8)}} if "law" in effects else effects
     gust = (0.05, 0.05, 0.05, 0.5, 0.5, 0.1)
     machine = Machine(system, *MULTIROTORS[system], held, gust)
-    columns = ["p_x", "p_y", "p_z", "v_x", "v_y", "v_z", "q_w", "q_x", "q_y", "q_z", "w_x", "w_y", "w_z"]
     for i, run_of in enumerate(flights(machine, seed, FLIGHT_S, PATHS, 0.5)):
-        names = ("t", *columns, *(f"u_{k + 1}" for k in range(run_of.u.shape[1])))
+        names = ("t", *STATES["multirotor"], *(f"u_{k + 1}" for k in range(run_of.u.shape[1])))
         save(folder / f"run_{i}.csv", names, [run_of.t + 100.0 * i, run_of.x, run_of.u])
 
 
@@ -143,7 +124,7 @@ def write(folder: Path, system: str, effects: dict[str, Any], seed: int) -> None
     machine = Small(system, values, effects, noise, gust=0.02)
     for i in range(RUNS):
         t, y, u = run(machine, SECONDS, DT, seed=7919 * seed + i)
-        save(folder / f"run_{i}.csv", ("t", *STATES[system], "force"), [t + 100 * i, y, u], "%.7f")
+        save(folder / f"run_{i}.csv", columns(system), [t + 100 * i, y, u], "%.7f")
 
 
 def left(
@@ -151,18 +132,13 @@ def left(
 ) -> tuple[float, dict[str, Any]]:
     """Sum of the logarithms of what is left of the rates of the held-out run, and what `metrics.json` holds."""
     nsde_torch.train(data, system=system, model=model, effects=effects, run_dir=run_dir, say=False)
-    metrics = json.loads((run_dir / "metrics.json").read_text(encoding="utf-8"))
+    metrics = read_json(run_dir / "metrics.json")
     return sum(log(channel["residual"]) for channel in metrics["test"]["one_step"].values()), metrics
 
 
 def main() -> None:
-    """Train, print a line for each plant and seed, and a table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--seeds", type=int, default=3)
+    parser = options(__doc__, seeds=3, out=None)
     parser.add_argument("--plants", nargs="*", default=list(PLANTS), choices=list(PLANTS))
-    parser.add_argument("--out", type=Path, default=None)
     a = parser.parse_args()
     torch.set_num_threads(1)
     rows: dict[str, list[tuple[float, float]]] = {}

@@ -10,7 +10,8 @@ chosen on the truth alone.
 
     python benchmarks/bench_policy.py --published .../cartpole --out results/policy --seeds 5 --at-once 2
 
-Whatever is finished in --out is used again. Writes policies.json, table.md and a figure for each data set.
+Whatever is finished in --out is used again. Writes policies.json, of which
+`nsde figures 'figures=[fig13,fig14]' policies=...` draws the figures, and table.md.
 """
 
 import argparse
@@ -23,10 +24,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from common import learn_policy, train
-
-from nsde_torch.plots import save
-from nsde_torch.plots.evaluation import policy_rewards
+from common import learn_policy, options, train
 
 DATA = {"on_policy": "published", "random": "published", "plant_on_policy": "plant", "plant_random": "plant"}
 FILES = {"on_policy": "learned.pkl", "random": "random.pkl"}
@@ -90,16 +88,8 @@ def job(cell: Cell, seed: int, a: argparse.Namespace) -> Callable[[], None]:
             own = seed % a.models
             kind = "ensemble" if cell.kind == REDRAWN else cell.kind
             model = a.out / "models" / cell.data / f"{kind}_{own}"
-            train(
-                model,
-                [
-                    "system=cartpole",
-                    f"model={kind}",
-                    f"seed={own}",
-                    *data_words(cell.data, a.published),
-                    *a.train,
-                ],
-            )
+            more = [f"model={kind}", f"seed={own}", *data_words(cell.data, a.published), *a.train]
+            train(model, ["system=cartpole", *more])
             words += [f"environment={model}", f"steps={a.steps}"]
             if kind == "ensemble":
                 words.append(f"propagation={'redrawn' if cell.kind == REDRAWN else 'fixed'}")
@@ -166,48 +156,17 @@ def table(found: Sequence[Mapping[str, Any]]) -> str:
     return "\n".join(lines)
 
 
-def draw(made: Sequence[Cell], found: Sequence[Mapping[str, Any]], out: Path) -> None:
-    """A figure for each data set: a panel for the truth and one for each kind of model."""
-    names = {
-        "truth": "truth",
-        "nsde": "neural SDE",
-        "blackbox_nsde": "SDE without physics",
-        "node": "neural ODE",
-        "ensemble": "Gaussian ensemble",
-        REDRAWN: "the same, members redrawn",
-    }
-    for data in dict.fromkeys(c.data for c in made if c.kind not in ("truth", "limited")):
-        truth = DATA[data]
-        shown = [
-            c for c in made if c.data == data or (c.truth == truth and c.data == truth and c.kind == "truth")
-        ]
-        value = {r["environment"]: r for r in found if r["data"] == truth}
-        figure = policy_rewards(
-            {names.get(c.kind, c.kind): [r["curve"] for r in c.reports()] for c in shown},
-            random=value["truth"]["random_reward"],
-            truth=value["truth"]["reward"],
-            limited=value["limited"]["reward"],
-            title=f"cartpole, {data.replace('_', '-')} data: reward of policies while they learn",
-        )
-        save(figure, out / f"policies_{data}.png")
-
-
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = options(__doc__, "out", seeds=5, at_once=1)
     parser.add_argument("--published", type=Path, help="folder of learned.pkl and random.pkl")
-    parser.add_argument("--out", type=Path, required=True, help="folder of models, policies and results")
     parser.add_argument("--data", nargs="+", default=list(DATA), choices=list(DATA), help="data sets")
     parser.add_argument(
         "--kinds", nargs="*", default=list(KINDS), choices=list(KINDS), help="kinds of models"
     )
-    parser.add_argument("--seeds", type=int, default=5, help="policies of each kind")
     parser.add_argument(
         "--models", type=int, default=5, help="models of each kind; policies share them in turn"
     )
     parser.add_argument("--steps", type=int, default=600_000, help="interactions of a policy")
-    parser.add_argument("--at-once", type=int, default=1, help="jobs at a time, one thread each")
     parser.add_argument("--report", action="store_true", help="make nothing; report what is finished")
     parser.add_argument("--train", nargs="*", default=[], help="further words for nsde train")
     parser.add_argument("--policy", nargs="*", default=[], help="further words for nsde policy")
@@ -226,7 +185,6 @@ def main() -> None:
     content = {"unit": "reward per episode", "score": "0 random, 1 trained on the truth", "rows": found}
     (a.out / "policies.json").write_text(json.dumps(content, indent=1))
     (a.out / "table.md").write_text(table(found) + "\n")
-    draw(made, found, a.out)
     print(table(found))
 
 

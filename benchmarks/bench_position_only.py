@@ -1,26 +1,22 @@
 """Are parameters right, and do their intervals hold, where positions alone were measured?
 
-Springs with dry friction of 0.2 m/s2 and values of their own in each seed (`blind/position_machines.py`, which
+Springs with dry friction of 0.2 m/s2 and values of their own in each seed (`blind/small_machines.py`, which
 shares no code with the package): the error of each parameter in standard errors, and how many 90 % intervals hold.
 
     python benchmarks/bench_position_only.py --count 20 --settings white counts full
 """
 
-import argparse
-import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from common import options
+from small_machines import measured, spring
 
 import nsde_torch
 from nsde_torch.data.raw import RawRun
 from nsde_torch.sysid.identify import identify_in_loop
 from nsde_torch.systems import make_system
-
-sys.path.insert(0, str(Path(__file__).resolve().parent / "blind"))
-from position_machines import measured, spring
 
 SETTINGS: dict[str, dict[str, Any]] = {
     "full": {"sensor": True},
@@ -76,9 +72,7 @@ def identified(
 
 
 def main() -> None:
-    """Prints one line for each setting."""
-    parser = argparse.ArgumentParser(description="Parameters from positions alone.")
-    parser.add_argument("--count", type=int, default=20)
+    parser = options(__doc__, count=20)
     parser.add_argument("--settings", nargs="+", choices=SETTINGS, default=list(SETTINGS))
     a = parser.parse_args()
     torch.set_num_threads(1)

@@ -10,7 +10,6 @@ faults of the recording chain undone that the other two showed.
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 from pathlib import Path
@@ -21,6 +20,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 import torch
+from common import options
 
 from nsde_torch.data import Run, Windows
 from nsde_torch.diagnosis.cross_validation import as_model
@@ -117,12 +117,8 @@ def show(results: list[dict[str, Any]]) -> None:
 
 
 def main() -> None:
-    """Run the folds that are missing, then print."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = options(__doc__, out=Path("results/published_diagnosis"))
     parser.add_argument("--data", type=Path, required=True, help="trajs.pkl of the published hexacopter")
-    parser.add_argument("--out", type=Path, default=Path("results/published_diagnosis"))
     a = parser.parse_args()
     torch.set_num_threads(1)
     system = make_system("hexacopter")

@@ -8,12 +8,10 @@ average of 0.4 s), and the filter that undoes it has taps up to 0.4 s ahead: com
     python benchmarks/bench_published_flights.py --data .../hexacopter/trajs.pkl --out results/
 """
 
-import argparse
-import json
 from pathlib import Path
 
 import numpy as np
-from common import train_all
+from common import options, read_json, train_all
 
 # position m, velocity m/s, attitude deg, rate rad/s: the authors' neural SDE, trained on two flights, tested on the
 # third, mean over the three folds, measured with their public code
@@ -26,21 +24,16 @@ GROUPS = ("position", "velocity", "attitude", "rate")
 
 
 def main() -> None:
-    """Train, collect, print."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = options(__doc__, out=Path("results/published_flights"), at_once=2)
     parser.add_argument("--data", type=Path, required=True, help="trajs.pkl of the published hexacopter")
-    parser.add_argument("--out", type=Path, default=Path("results/published_flights"))
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--folds", type=int, nargs="+", default=[0, 1, 2])
-    parser.add_argument("--at-once", type=int, default=2)
     parser.add_argument("overrides", nargs="*", help="further overrides of nsde train")
     a = parser.parse_args()
     base = ["system=hexacopter", "data=published", f"data.path={a.data.resolve()}", *a.overrides]
     cases = {(f, s): a.out.resolve() / f"flight{f}_seed{s}" for f in a.folds for s in a.seeds}
     train_all({d: [*base, f"data.test=[{f}]", f"seed={s}"] for (f, s), d in cases.items()}, at_once=a.at_once)
-    metrics = {key: json.loads((folder / "metrics.json").read_text()) for key, folder in cases.items()}
+    metrics = {key: read_json(folder / "metrics.json") for key, folder in cases.items()}
     errors: dict[str, list[list[float]]] = {}
     cover: dict[str, list[list[float]]] = {}
     for key in cases:

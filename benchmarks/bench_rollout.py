@@ -11,17 +11,16 @@ compilation. Functions take turns and the minimum over the repetitions counts, b
     python benchmarks/bench_rollout.py --threads 1 --out bench_rollout.json
 """
 
-import argparse
 import json
 import math
 import os
 import statistics
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 import torch
 import torchsde
+from common import options
 from torch import Tensor, nn
 
 from nsde_torch.models import NeuralSDE, SDESpec
@@ -181,16 +180,11 @@ def measure(
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = options(__doc__, repeats=20, threads=1, out=None)
     parser.add_argument("--batch", type=int, nargs="+", default=[32, 512, 4096], help="rows")
     parser.add_argument("--step", nargs="+", default=list(TORCHSDE), choices=list(TORCHSDE), help="methods")
     parser.add_argument("--steps", type=int, default=20, help="steps of a rollout")
     parser.add_argument("--dt", type=float, default=0.05, help="step [s]")
-    parser.add_argument("--repeats", type=int, default=20, help="timed repetitions")
-    parser.add_argument("--threads", type=int, default=1, help="torch threads")
-    parser.add_argument("--out", type=Path, help="write the rows as JSON")
     a = parser.parse_args()
     torch.set_num_threads(a.threads)
     head = f"{'step':<15}{'batch':>6}{'pass':>9}{'torchsde':>12}{'eager':>10}{'compiled':>10}{'ratio':>7}"

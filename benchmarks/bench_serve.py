@@ -11,27 +11,20 @@ Needs the extra `serve`, selenium, and Debian's chromium and chromium-driver.
 
 from __future__ import annotations
 
-import argparse
 import os
 import resource
 import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from common import nsde, options
 
 from tests.helpers.browser import chromium
 
 _LONGEST = 1200.0  # seconds
 _WIDTH, _HEIGHT = 1100, 1000
-
-
-def nsde(*words: str) -> list[str]:
-    """`nsde` with the interpreter that runs this."""
-    return [sys.executable, "-m", "nsde_torch.cli", *words]
 
 
 def wait(driver: Any, css: str, started: float) -> tuple[Any, float]:
@@ -74,11 +67,7 @@ def use(driver: Any, address: str, flights: list[Path], pictures: Path | None) -
 
 
 def main() -> None:
-    """Measure once."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--seed", type=int, default=5, help="of the flights")
+    parser = options(__doc__, seed=5)
     parser.add_argument("--pictures", type=Path, help="folder for pictures of the page")
     given = parser.parse_args()
     env = {**os.environ, "OMP_NUM_THREADS": "1"}

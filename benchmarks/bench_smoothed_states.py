@@ -10,18 +10,15 @@ holds the truth; otherwise it is confidently wrong.
 
 from __future__ import annotations
 
-import argparse
-import json
 from collections.abc import Callable, Sequence
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
+from common import Array, Json, line, markdown, options, write_json
 from scipy.interpolate import make_smoothing_spline
 from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 from scipy.signal import bessel, butter, savgol_filter, sosfilt, sosfilt_zi, sosfiltfilt
+from study import labelled
 
 import nsde_torch
 from nsde_torch.data import DataSet, RawRun
@@ -29,7 +26,6 @@ from nsde_torch.errors import NonFiniteError
 from nsde_torch.sysid.identify import identify_in_loop
 from nsde_torch.systems import make_system
 
-Array = NDArray[np.float64]
 Filter = Callable[[Array, float, float], Array]
 """Columns (n, C), a cut-off [Hz], a step [s]."""
 
@@ -93,20 +89,16 @@ MACHINES: dict[str, tuple[tuple[str, ...], float]] = {
 }
 """Machine -> effects that it has and the model is told of; length of a run [s]."""
 
+HOW = ("raw", "kept", "restored")
 
-def truths(truth: dict[str, Any]) -> dict[str, float]:
+
+def truths(truth: Json) -> dict[str, float]:
     """True values by label."""
-    out = {name: p["value"] for name, p in truth["declared"].items()}
-    for effect, e in truth["effects"].items():
-        for name, value in e["parameters"].items():
-            if isinstance(value, list):
-                out |= {f"{effect}.{name}[{i}]": v for i, v in enumerate(value)}
-            else:
-                out[f"{effect}.{name}"] = value
-    return out
+    effects = {effect: e["parameters"] for effect, e in truth["effects"].items()}
+    return {name: p["value"] for name, p in truth["declared"].items()} | dict(labelled(effects))
 
 
-def judged(machine: str, data: DataSet, true: dict[str, float]) -> dict[str, Any]:
+def judged(machine: str, data: DataSet, true: dict[str, float]) -> Json:
     """Errors of the parameters of one log."""
     system = make_system(machine, effects=list(MACHINES[machine][0]))
     try:
@@ -114,7 +106,7 @@ def judged(machine: str, data: DataSet, true: dict[str, float]) -> dict[str, Any
     except NonFiniteError:  # refused
         return {"parameters": {}, "settled": False}
     half = found.half_widths(0.9)
-    out: dict[str, Any] = {}
+    out: Json = {}
     for label, value, width in zip(found.vector.labels, found.values.tolist(), half.tolist(), strict=True):
         error = abs(value - true[label])
         held = np.isnan(width) or error <= width  # nan: no interval is given
@@ -140,26 +132,21 @@ def smoothed(
     return out
 
 
-def wrong(one: dict[str, Any]) -> list[str]:
+def wrong(one: Json) -> list[str]:
     """Parameters that are confidently wrong."""
     return [k for k, p in one["parameters"].items() if p["relative"] > 0.05 and not p["held"]]
 
 
 def main() -> None:
-    """Run the study and print its table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seed", type=int, default=1)
+    parser = options(__doc__, seed=1, out=None)
     parser.add_argument("--machines", nargs="*", default=list(MACHINES), choices=list(MACHINES))
-    parser.add_argument("--out", type=Path, default=None, help="file for the figures (JSON)")
     given = parser.parse_args()
     torch.set_num_threads(1)
     rng = np.random.default_rng(given.seed)
     results = []
-    print(
-        "| machine | smoothed | smoother | cut-off [Hz] | found | raw: worst | kept: worst | restored: worst | "
-        "confidently wrong: raw, kept, restored |"
-    )
-    print("|---" * 9 + "|")
+    worst = [f"{how}: worst" for how in HOW]
+    head = ("machine", "smoothed", "smoother", "cut-off [Hz]", "found", *worst)
+    print("\n".join(markdown((*head, "confidently wrong: raw, kept, restored"), [])))
     for machine in given.machines:
         effects, seconds = MACHINES[machine]
         told = machine in ("hexacopter", "quadrotor")
@@ -173,37 +160,29 @@ def main() -> None:
             log = smoothed(made.runs, some, system.quaternion, lambda x, f=smooth, c=cut, h=dt: f(x, c, h))
             kept = judged(machine, nsde_torch.read(log, system=system, state_smoothing="keep"), true)
             data = nsde_torch.read(log, system=system)
-            restored = judged(machine, data, true)
+            every = dict(zip(HOW, (raw, kept, judged(machine, data, true)), strict=True))
             found = [f.values for f in data.summary.findings if f.kind == "state_smoothing"]
-            results.append(
-                {"machine": machine, "smoother": name, "cut_hz": cut, "states": len(some), "found": found}
-                | {"raw": raw, "kept": kept, "restored": restored}
-            )
-            words = (
-                "; ".join(f"{v['smoother']} {v['order'] or ''} to {v['band_hz']:.3g} Hz" for v in found)
-                or "nothing"
-            )
-            worst = [
-                f"{100 * max((p['relative'] for p in one['parameters'].values()), default=np.nan):.1f} %"
-                for one in (raw, kept, restored)
-            ]
-            count = ", ".join(str(len(wrong(one))) for one in (raw, kept, restored))
-            states = "all states" if len(some) == system.nx else "p, v"
-            print(
-                f"| {machine} | {states} | {name} | {cut:.1f} | {words} | {' | '.join(worst)} | {count} |",
-                flush=True,
-            )
-    for key in ("raw", "kept", "restored"):
-        every = [p for r in results for p in r[key]["parameters"].values()]
+            about = {"machine": machine, "smoother": name, "cut_hz": cut, "states": len(some), "found": found}
+            results.append(about | every)
+            words = [f"{v['smoother']} {v['order'] or ''} to {v['band_hz']:.3g} Hz" for v in found]
+            off = [[p["relative"] for p in one["parameters"].values()] for one in every.values()]
+            count = ", ".join(str(len(wrong(one))) for one in every.values())
+            cells = [machine, "all states" if len(some) == system.nx else "p, v", name, f"{cut:.1f}"]
+            cells += ["; ".join(words) or "nothing", *(f"{100 * max(v, default=np.nan):.1f} %" for v in off)]
+            print(line([*cells, count]), flush=True)
+    for key in HOW:
+        parameters = [p for r in results for p in r[key]["parameters"].values()]
         bad = sum(bool(wrong(r[key])) for r in results)
-        right = sum(p["relative"] <= 0.05 for p in every)
-        held = sum(p["held"] for p in every)
+        right, held = (
+            sum(values)
+            for values in zip(*((p["relative"] <= 0.05, p["held"]) for p in parameters), strict=True)
+        )
         print(
-            f"\n{key}: {right} of {len(every)} parameters within 5 %, {held} held by their 90 % interval; "
+            f"\n{key}: {right} of {len(parameters)} parameters within 5 %, {held} held by their 90 % interval; "
             f"{bad} of {len(results)} data sets with a parameter that is confidently wrong"
         )
     if given.out is not None:
-        given.out.write_text(json.dumps(results, indent=1), encoding="utf-8")
+        write_json(given.out, results)
 
 
 if __name__ == "__main__":

@@ -21,51 +21,36 @@ errors of the gains of thrust, roll and pitch (with the lag of the motors declar
 
 from __future__ import annotations
 
-import argparse
-import sys
 import tempfile
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from common import STATES, Array, line, options, save
+from loop_flight import LOG, SENSORS, Flight, fly
+from loop_machine import Machine, product
 from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
-
-sys.path.insert(0, str(Path(__file__).parent / "blind"))
-
-from loop_flight import LOG, SENSORS, Flight, fly
-from loop_machine import Machine
-from study import save
 
 import nsde_torch
 from nsde_torch.sysid.identify import identify
 from nsde_torch.systems import make_system
 
-Array = NDArray[np.float64]
-
 RUNS, SECONDS, LAG = 4, 40.0, 0.04
 MOST_RPM, POLES = 22_000.0, 14.0
 KINDS = ("offset", "common", "null", "offset of motors", "rotor speeds")
-STATE = ("p_x", "p_y", "p_z", "v_x", "v_y", "v_z", "q_w", "q_x", "q_y", "q_z", "w_x", "w_y", "w_z")
 
 
 @dataclass(frozen=True)
 class Case:
-    """What was logged, and what is true of it.
+    """What was logged, and what is true of it."""
 
-    Args:
-        kind: One of `KINDS`.
-        folder: Where the runs are, one CSV file each.
-        late: By how much estimator, gyroscope and motors are late against motion capture in each run [s], (3, runs).
-        gains: True thrust gain, roll gain and pitch gain.
-    """
-
-    kind: str
-    folder: Path
+    kind: str  # one of `KINDS`
+    folder: Path  # where the runs are, one CSV file each
+    # by how much estimator, gyroscope and motors are late against motion capture in each run [s], (3, runs)
     late: Array
-    gains: Array = field(repr=False)
+    gains: Array = field(repr=False)  # true thrust gain, roll gain and pitch gain
 
 
 def make(kind: str, seed: int, folder: Path) -> Case:
@@ -114,15 +99,14 @@ def make(kind: str, seed: int, folder: Path) -> Case:
             acting = _speeds(acting, rng)
         motors = acting[2 * (np.arange(n) // 2)]
         battery = flown.extra["battery_voltage"][10 * (np.arange(n) // 10)]
-        names = ("t", *STATE, *(f"u_{i}" for i in range(1, 5)), "battery_voltage")
+        names = ("t", *STATES["multirotor"], *(f"u_{i}" for i in range(1, 5)), "battery_voltage")
         save(folder / f"flight_{r}.csv", names, [np.column_stack([flown.t, x, motors, battery])[50:-50]])
     return Case(kind, folder, late, gains)
 
 
 def _turned(q: Array, by: Array) -> Array:
     """Quaternions (n, 4) turned by small rotations (n, 3) in the body."""
-    w, v, half = q[:, :1], q[:, 1:], 0.5 * by
-    out = np.concatenate([w - (v * half).sum(1, keepdims=True), v + w * half + np.cross(v, half)], 1)
+    out = product(q, np.concatenate([np.ones((len(q), 1)), 0.5 * by], 1))
     return np.asarray(out / np.linalg.norm(out, axis=1, keepdims=True))
 
 
@@ -180,26 +164,20 @@ def offset_error(case: Case, found: dict[str, dict[str, float]], stream: str) ->
 
 
 def main() -> None:
-    """Measure, and print a table."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--seeds", type=int, default=12)
-    parser.add_argument("--first", type=int, default=0)
+    parser = options(__doc__, seeds=12, first=0)
     parser.add_argument("--kinds", default=",".join(KINDS))
-    options = parser.parse_args()
+    given = parser.parse_args()
     print("| streams | seed | offsets found | error v, w [ms] | gains kept | gains on one clock | read [s] |")
     print("|---|---|---|---|---|---|---|")
-    for kind in options.kinds.split(","):
-        for seed in range(options.first, options.first + options.seeds):
+    for kind in given.kinds.split(","):
+        for seed in range(given.first, given.first + given.seeds):
             with tempfile.TemporaryDirectory() as folder:
                 case = make(kind, seed, Path(folder))
                 kept, _, _ = errors(case, policy="keep")
                 there, found, took = errors(case, policy="undo")
             off = [offset_error(case, found, stream) for stream in "vw"]
-            print(
-                f"| {kind} | {seed} | {', '.join(found) or 'none'} | {off[0]:.2g}, {off[1]:.2g} | "
-                f"{_shown(kept)} | {_shown(there)} | {took:.1f} |",
-                flush=True,
-            )
+            shown = f"{off[0]:.2g}, {off[1]:.2g}", _shown(kept), _shown(there), f"{took:.1f}"
+            print(line([kind, seed, ", ".join(found) or "none", *shown]), flush=True)
 
 
 def _shown(off: Array) -> str:

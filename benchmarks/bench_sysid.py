@@ -13,7 +13,6 @@ Spring: five runs of 5 s with a multisine force. Cartpole: its twenty episodes. 
     python benchmarks/bench_sysid.py --seeds 200
 """
 
-import argparse
 import json
 import time
 from collections.abc import Iterator, Sequence
@@ -22,6 +21,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from common import options
 
 from nsde_torch.data import Run
 from nsde_torch.models.identified import METHODS
@@ -39,15 +39,9 @@ LEVEL = 0.95
 
 
 def main() -> None:
-    """Measure, print and write."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = options(__doc__, seeds=200, first_seed=0, out=Path("bench_sysid.json"))
     parser.add_argument("--systems", nargs="+", choices=SYSTEMS, default=SYSTEMS)
-    parser.add_argument("--seeds", type=int, default=200)
-    parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--differences", action="store_true", help="the classical method too")
-    parser.add_argument("--out", type=Path, default=Path("bench_sysid.json"))
     a = parser.parse_args()
     torch.set_num_threads(1)
     results: dict[str, Any] = {}

@@ -10,7 +10,6 @@ flights of it (`nsde track`, four machines with gusts of their own). Ratios are 
 
 from __future__ import annotations
 
-import argparse
 import json
 import subprocess
 import sys
@@ -18,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from common import train_all
+from common import options, train_all
 
 import nsde_torch
 
@@ -96,14 +95,8 @@ def line(name: str, seed: int, found: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    """Run what is missing, and print the table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--out", type=Path, required=True, help="keeps flights, models and tracks")
+    parser = options(__doc__, "out", seeds=3, first_seed=0)
     parser.add_argument("--machines", nargs="+", default=list(MACHINES), choices=MACHINES, metavar="NAME")
-    parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--starts", type=int, default=400, help="interventions for each machine")
     a = parser.parse_args()
     torch.set_num_threads(1)

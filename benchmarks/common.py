@@ -1,9 +1,22 @@
-"""What the studies share: train through the command line, and end where a training fails."""
+"""What the studies share: those of `blind/study.py`, and trainings by the command line that end where one fails."""
 
+import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
-from nsde_benchmarks import training
+sys.path[1:1] = [str(Path(__file__).resolve().parents[1]), str(Path(__file__).resolve().parent / "blind")]
+
+from study import STATES, Array, Json, line, markdown, options, read_json, save, write_json  # noqa: E402
+
+from nsde_benchmarks import training  # noqa: E402
+
+__all__ = ["STATES", "Array", "Json", "line", "markdown", "options", "read_json", "save", "write_json"]
+
+
+def nsde(*words: str) -> list[str]:
+    """`nsde` with the interpreter that runs this."""
+    return [sys.executable, "-m", "nsde_torch.cli", *words]
 
 
 def train(run_dir: Path, overrides: Sequence[str]) -> Path:
@@ -27,3 +40,11 @@ def train_all(jobs: dict[Path, list[str]], *, at_once: int) -> None:
     lost = training.train_all(jobs, at_once=at_once)
     if lost:
         raise SystemExit("\n".join(lost.values()))
+
+
+def held_out(folder: Path) -> tuple[Any, Any]:
+    """Training and test runs of a run directory, as its configuration says."""
+    from nsde_benchmarks.paper.figure_table import held_out
+
+    parts = held_out(folder)
+    return parts.train, parts.test

@@ -12,25 +12,16 @@ to 400 Hz). Every second machine holds one true effect that the declared physics
 
 from __future__ import annotations
 
-import argparse
-import json
-import os
-import sys
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import numpy as np
 from broken_faults import FAULTS, Log, Table
 from closed_loop import EFFECTS, STATES, SYSTEMS, _machine, _sized
 from loop_flight import PATHS, Flight, fly
-from small_machines import STATES as SMALL_STATES
-from small_machines import Small, run, small
-from study import save
+from small_machines import Small, columns, run, small
+from study import missing, options, save, write_json
 
 LOOPS = (("a", 0.01), ("b", 0.02), ("c", 0.01), ("a", 0.005), ("d", 0.01), ("b", 0.004))
 """Regime and step of the log [s] of the multirotors, in turn."""
@@ -41,24 +32,14 @@ PAUSE_S = 15.0
 
 @dataclass(frozen=True)
 class Case:
-    """One log.
-
-    Args:
-        name: Of its files.
-        system: What it is of.
-        fault: Key of `FAULTS`; empty for a good log.
-        effect: True effect that the declared physics lacks; empty for none.
-        regime: Of a multirotor's loop.
-        dt: Step [s].
-        seed: Of all that is random in it.
-    """
+    """One log."""
 
     name: str
     system: str
-    fault: str
-    effect: str
-    regime: str
-    dt: float
+    fault: str  # key of `FAULTS`; empty for a good log
+    effect: str  # true effect that the declared physics lacks; empty for none
+    regime: str  # of a multirotor's loop
+    dt: float  # step [s]
     seed: int
 
 
@@ -121,74 +102,40 @@ def write(case: Case, log: Log, other: Log | None, true: dict[str, object], fold
     """Break the log, and write it and its truth, the truth last."""
     rng = np.random.default_rng([case.seed, 99])
     done = FAULTS[case.fault][0](log, other or log, rng) if case.fault else ""
-    data, truth = folder / "data" / case.name, folder / "truth" / f"{case.name}.json"
-    data.mkdir(parents=True, exist_ok=True)
-    truth.parent.mkdir(parents=True, exist_ok=True)
-    states = STATES if case.regime else SMALL_STATES[case.system]
-    inputs = [f"u_{i + 1}" for i in range(log[0].u.shape[1])] if case.regime else ["force"]
+    motors = [f"u_{i + 1}" for i in range(log[0].u.shape[1])]
+    names = ("t", *STATES, *motors) if case.regime else columns(case.system)
     for k, one in enumerate(log):
-        names = ["t", *states, *inputs, *one.extra]
-        save(data / f"run_{k}.csv", names, [np.round(one.t, 6), one.x, one.u, *one.extra.values()])
-    content = {
-        "system": case.system,
-        "fault": case.fault,
-        "done": done,
-        "effect": case.effect,
-        "true": true,
-        "regime": case.regime,
-        "dt_s": case.dt,
-    }
-    truth.write_text(json.dumps(content, indent=1), encoding="utf-8")
+        table = [np.round(one.t, 6), one.x, one.u, *one.extra.values()]
+        save(folder / "data" / case.name / f"run_{k}.csv", [*names, *one.extra], table)
+    about = {key: getattr(case, key) for key in ("name", "system", "fault", "effect", "regime")}
+    content = {**about, "dt_s": case.dt, "done": done, "true": true}
+    write_json(folder / "truth" / f"{case.name}.json", content)
 
 
 def main() -> None:
-    """Write the logs that are not there yet."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--seed", type=int, required=True, help="seed of the logs")
-    parser.add_argument("--count", type=int, default=100, help="good logs, and as many broken ones")
-    parser.add_argument("--out", type=Path, required=True, help="folder to write into")
-    given = parser.parse_args()
-    todo = [
-        c for c in cases(given.seed, given.count) if not (given.out / "truth" / f"{c.name}.json").is_file()
-    ]
+    given = options(__doc__, "seed", "out", count=100).parse_args()
+    every = {c.name: c for c in cases(given.seed, given.count)}
+    todo = [every[name] for name in missing(given.out, "truth", every)]
     started = time.perf_counter()
     for case in (c for c in todo if not c.regime):
         log, machine = small_log(case, 0)
-        write(
-            case,
-            log,
-            small_log(case, 1)[0],
-            {"values": machine.values, "effects": machine.effects},
-            given.out,
-        )
+        true: dict[str, object] = {"values": machine.values, "effects": machine.effects}
+        write(case, log, small_log(case, 1)[0], true, given.out)
     print(f"springs and carts written ({time.perf_counter() - started:.0f} s)", flush=True)
     for regime, dt in LOOPS:
         some = [c for c in todo if (c.regime, c.dt) == (regime, dt)]
         wanted = [(c, turn) for c in some for turn in (0, *((1,) if "machine" in c.fault else ()))]
         if not wanted:
             continue
-        flights = [f for c, turn in wanted for f in flights_of(c, turn)]
-        logged = fly(flights)
-        logs: dict[tuple[str, int], Log] = {}
-        for n, (case, turn) in enumerate(wanted):
-            part = logged[RUNS * n : RUNS * (n + 1)]
-            logs[case.name, turn] = [
-                Table(one.t, one.x, one.u, {"battery_voltage": one.extra["battery_voltage"]}) for one in part
-            ]
+        logged = fly([f for c, turn in wanted for f in flights_of(c, turn)])
+        tables = [Table(x.t, x.x, x.u, {"battery_voltage": x.extra["battery_voltage"]}) for x in logged]
+        logs = {(c.name, turn): tables[RUNS * n : RUNS * (n + 1)] for n, (c, turn) in enumerate(wanted)}
         for case in some:
             m = flights_of(case, 0)[0].machine
-            true: dict[str, object] = {
-                "thrust_gain": m.thrust_gain,
-                "thrust_offset": m.thrust_offset,
-                **dict(zip(("roll_gain", "pitch_gain", "yaw_gain"), m.gains, strict=True)),
-                "effects": m.effects,
-            }
+            true = {**m.declared, "effects": m.effects}
             write(case, logs[case.name, 0], logs.get((case.name, 1)), true, given.out)
-        print(
-            f"{len(some)} logs of regime {regime} at {1 / dt:g} Hz written "
-            f"({time.perf_counter() - started:.0f} s)",
-            flush=True,
-        )
+        spent = time.perf_counter() - started
+        print(f"{len(some)} logs of regime {regime} at {1 / dt:g} Hz written ({spent:.0f} s)", flush=True)
 
 
 if __name__ == "__main__":

@@ -13,29 +13,22 @@ command says of feedback, and of what the data do not show, counts as neither.
 
 from __future__ import annotations
 
-import argparse
-import json
-import os
 import re
 import subprocess
 import sys
 import time
-from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
-from typing import Any
-
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from broken_faults import FAULTS
+from study import Json, answered, markdown, missing, options, pooled, truth_of, write_json
 
 _BENIGN = ("dimensions; always zero",)
-Json = dict[str, Any]
 
 
 def by_command(folder: Path, name: str, further: list[str]) -> Json:
     """`nsde train model=sysid` on one log."""
-    truth = json.loads((folder / "truth" / f"{name}.json").read_text(encoding="utf-8"))
+    truth = truth_of(folder, name)
     words = [
         *(sys.executable, "-m", "nsde_torch.cli", "train", "model=sysid", f"system={truth['system']}"),
         *("data=csv", f"data.path={folder / 'data' / name}", f"run_dir={folder / 'runs' / name}", *further),
@@ -44,11 +37,8 @@ def by_command(folder: Path, name: str, further: list[str]) -> Json:
     words.append(f"system.dt={step:g}")
     started = time.perf_counter()
     done = subprocess.run(words, capture_output=True, text=True, check=False)
-    return {
-        "code": done.returncode,
-        "text": done.stdout + done.stderr,
-        "seconds": time.perf_counter() - started,
-    }
+    seconds = time.perf_counter() - started
+    return {"code": done.returncode, "text": done.stdout + done.stderr, "seconds": seconds}
 
 
 def quickly(folder: Path, name: str, further: list[str]) -> Json:
@@ -62,7 +52,7 @@ def quickly(folder: Path, name: str, further: list[str]) -> Json:
     from nsde_torch.training.fit_sysid import summary
 
     torch.set_num_threads(1)
-    truth = json.loads((folder / "truth" / f"{name}.json").read_text(encoding="utf-8"))
+    truth = truth_of(folder, name)
     started = time.perf_counter()
     code, text, figures = 0, "", {}
     try:
@@ -103,23 +93,17 @@ def judge(truth: Json, answer: Json) -> str:
 def table(folder: Path) -> str:
     """What became of all logs, as Markdown."""
     rows: dict[str, list[tuple[str, Json, Json]]] = {}
-    for path in sorted((folder / "answers").glob("*.json")):
-        truth = json.loads((folder / "truth" / path.name).read_text(encoding="utf-8"))
-        answer = json.loads(path.read_text(encoding="utf-8"))
+    for _, truth, answer in answered(folder):
         rows.setdefault(truth["fault"] or "nothing", []).append((judge(truth, answer), truth, answer))
-    words = ("named", "warned of", "missed", "silent")
-    lines = ["| fault | logs | named | warned of | missed |", "|---|---|---|---|---|"]
-    total = dict.fromkeys(words, 0)
-    for fault, some in rows.items():
-        count = {w: sum(v == w for v, _, _ in some) for w in words}
-        if fault != "nothing":
-            lines.append(
-                f"| {fault} | {len(some)} | {count['named']} | {count['warned of']} | {count['missed']} |"
-            )
-            total = {w: total[w] + count[w] for w in words}
     good = rows.get("nothing", [])
-    broken = sum(len(some) for fault, some in rows.items() if fault != "nothing")
-    lines.append(f"| all | {broken} | {total['named']} | {total['warned of']} | {total['missed']} |")
+    broken = {fault: some for fault, some in rows.items() if fault != "nothing"}
+    broken["all"] = [row for some in broken.values() for row in some]
+    words = ("named", "warned of", "missed")
+    counts = [
+        (fault, len(some), *(sum(v == w for v, _, _ in some) for w in words))
+        for fault, some in broken.items()
+    ]
+    lines = markdown(("fault", "logs", *words), counts)
     lines.append(f"\ngood logs: {sum(v == 'warned of' for v, _, _ in good)} of {len(good)} warned of\n")
     for fault, some in rows.items():
         for verdict, truth, answer in some:
@@ -130,37 +114,20 @@ def table(folder: Path) -> str:
     return "\n".join(lines)
 
 
-def _one(folder: Path, name: str, quick: bool, further: list[str]) -> str:
-    answer = (quickly if quick else by_command)(folder, name, further)
-    truth = json.loads((folder / "truth" / f"{name}.json").read_text(encoding="utf-8"))
-    (folder / "answers").mkdir(exist_ok=True)
-    (folder / "truth" / f"{name}.json").write_text(json.dumps({**truth, "name": name}), encoding="utf-8")
-    (folder / "answers" / f"{name}.json").write_text(json.dumps(answer, default=str), encoding="utf-8")
-    return (
-        f"{name} {truth['fault'] or '-'} ({truth['done']}): {judge(truth, answer)} {answer['seconds']:.1f} s"
-    )
+def _one(folder: Path, quick: bool, further: list[str], name: str) -> str:
+    answer, truth = (quickly if quick else by_command)(folder, name, further), truth_of(folder, name)
+    write_json(folder / "answers" / f"{name}.json", answer)
+    return f"{truth['fault'] or '-'} ({truth['done']}): {judge(truth, answer)} {answer['seconds']:.1f} s"
 
 
 def main() -> None:
-    """Run what has not been run, and judge."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--cases", type=Path, required=True, help="folder of broken_logs.py")
+    parser = options(__doc__, "cases", names=None, jobs=1, judge=False)
     parser.add_argument("--quick", action="store_true", help="without the command line")
-    parser.add_argument("--judge", action="store_true", help="judge what is there")
-    parser.add_argument("--names", nargs="+", default=None, help="these alone, again")
-    parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("further", nargs="*", help="further keys of the command")
     given = parser.parse_args()
-    if not given.judge:
-        names = given.names or [
-            path.stem
-            for path in sorted((given.cases / "truth").glob("*.json"), key=lambda path: path.stem[-3:])
-            if not (given.cases / "answers" / path.name).is_file()
-        ]
-        with ProcessPoolExecutor(given.jobs) as pool:
-            jobs = [pool.submit(_one, given.cases, name, given.quick, given.further) for name in names]
-            for job in jobs:
-                print(job.result(), flush=True)
+    names = given.names or sorted(missing(given.cases, "answers"), key=lambda name: name[-3:])
+    make = partial(_one, given.cases, given.quick, given.further)
+    pooled(given.jobs, {name: partial(make, name) for name in ([] if given.judge else names)})
     print(table(given.cases))
 
 

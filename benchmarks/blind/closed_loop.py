@@ -13,23 +13,16 @@ regimes, and nothing under all. Four flights of 40 to 45 s a case, on one clock;
 
 from __future__ import annotations
 
-import argparse
-import json
-import os
-import sys
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
 import numpy as np
 from loop_flight import PATHS, RATES, REGIMES, STICKS, Flight, Logged, fly
 from loop_machine import SIGNS, Machine
-from study import save
+from study import STATES as STATES_OF
+from study import missing, options, save, write_json
 
 SYSTEMS = ("hexacopter", "quadrotor")
 SINGLES, NULLS = 48, 12
@@ -39,34 +32,20 @@ PAUSE_S = 15.0
 EFFECTS = (
     *("linear_drag", "quadratic_drag", "constant_wind", "constant_world_force", "ground_effect"),
     *("thrust_misalignment", "angular_damping", "com_offset", "gyroscopic_moment", "flapping_moment"),
-    *(
-        "inertia_coupling",
-        "motor_lag",
-        "input_delay",
-        "motor_efficiency_loss",
-        "thrust_sag",
-        "battery_voltage",
-    ),
+    *("inertia_coupling", "motor_lag", "input_delay", "motor_efficiency_loss", "thrust_sag"),
+    "battery_voltage",
 )
-STATES = (*("p_x", "p_y", "p_z", "v_x", "v_y", "v_z"), *("q_w", "q_x", "q_y", "q_z", "w_x", "w_y", "w_z"))
+STATES = STATES_OF["multirotor"]
 
 
 @dataclass(frozen=True)
 class Case:
-    """One case.
+    """One case."""
 
-    Args:
-        name: Name of its files; tells nothing.
-        machine: What flies.
-        regime: What its controller sees.
-        sticks: Whether sticks and setpoints are logged.
-        seed: Seed of its flights.
-    """
-
-    name: str
+    name: str  # of its files; tells nothing
     machine: Machine
-    regime: str
-    sticks: bool
+    regime: str  # what its controller sees
+    sticks: bool  # whether sticks and setpoints are logged
     seed: int
 
 
@@ -163,14 +142,11 @@ def flights_of(case: Case) -> list[Flight]:
 
 def write(case: Case, logged: list[Logged], folder: Path) -> None:
     """Write the flights of a case to `folder/data/NAME`, and its truth to `folder/truth/NAME.json`, last."""
-    data, truth = folder / "data" / case.name, folder / "truth" / f"{case.name}.json"
-    data.mkdir(parents=True, exist_ok=True)
-    truth.parent.mkdir(parents=True, exist_ok=True)
     extra = [*(STICKS if case.sticks else ()), *(RATES if case.sticks else ()), "battery_voltage"]
     for k, run in enumerate(logged):
         names = ["t", *STATES, *(f"u_{i + 1}" for i in range(run.u.shape[1])), *extra]
         columns = [np.round(run.t, 6), run.x, run.u, *(run.extra[name] for name in extra)]
-        save(data / f"run_{k}.csv", names, columns)
+        save(folder / "data" / case.name / f"run_{k}.csv", names, columns)
     m = case.machine
     content = {
         "system": m.system,
@@ -178,32 +154,19 @@ def write(case: Case, logged: list[Logged], folder: Path) -> None:
         "sticks": case.sticks,
         "exogenous": list(STICKS) if case.sticks else [],
         "effects": m.effects,
-        "declared": {
-            "thrust_gain": m.thrust_gain,
-            "thrust_offset": m.thrust_offset,
-            **dict(zip(("roll_gain", "pitch_gain", "yaw_gain"), m.gains, strict=True)),
-            **dict(zip(("inertia_x", "inertia_y"), m.inertia, strict=True)),
-        },
+        "declared": m.declared,
         "gust": m.gust,
         "gust_time_s": m.gust_time,
         "flights": [[f.path, f.seconds, f.sensor_noise, f.vigour] for f in flights_of(case)],
         "seed": case.seed,
     }
-    truth.write_text(json.dumps(content, indent=1), encoding="utf-8")
+    write_json(folder / "truth" / f"{case.name}.json", content)
 
 
 def main() -> None:
-    """Write the cases that are not there yet, those of one regime in one batch."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--seed", type=int, required=True, help="seed of the cases")
-    parser.add_argument("--count", type=int, default=SINGLES + NULLS, help="the first of them only")
-    parser.add_argument("--names", nargs="+", default=None, help="these alone, case_00 ...")
-    parser.add_argument("--out", type=Path, required=True, help="folder to write into")
-    given = parser.parse_args()
-    todo = [
-        c for c in cases(given.seed, given.count) if not (given.out / "truth" / f"{c.name}.json").is_file()
-    ]
-    todo = [c for c in todo if given.names is None or c.name in given.names]
+    given = options(__doc__, "seed", "out", count=SINGLES + NULLS, names=None).parse_args()
+    every = {c.name: c for c in cases(given.seed, given.count) if c.name in (given.names or [c.name])}
+    todo = [every[name] for name in missing(given.out, "truth", every)]
     started = time.perf_counter()
     for regime in REGIMES:
         some = [c for c in todo if c.regime == regime]

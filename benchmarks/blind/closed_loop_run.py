@@ -11,59 +11,45 @@ signals from outside the loop (`data.instruments=[...]`).
 
 from __future__ import annotations
 
-import argparse
-import json
-import os
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-from study import held
+from study import Json, answered, held, markdown, missing, options, read_json, truth_of, write_json
 
 GAINS = ("thrust_gain", "roll_gain", "pitch_gain", "yaw_gain")
 MOVES = 1.1
 """Ratio of a channel's residual before and after from which on an effect counts as visible."""
-Json = dict[str, Any]
 
 
 def diagnose(folder: Path, name: str, limit: float, instruments: bool, further: Sequence[str]) -> str:
     """Diagnose one case in a process of its own; returns what became of it."""
-    truth = json.loads((folder / "truth" / f"{name}.json").read_text(encoding="utf-8"))
-    out = folder / "answers" / name
+    truth, out = truth_of(folder, name), folder / "answers" / name
     words = [
-        *(sys.executable, "-m", "nsde_torch.cli", "diagnose", f"system={truth['system']}", "data=csv"),
-        *(f"data.path={folder / 'data' / name}", f"out_dir={out}", "retrain=false", "threads=1", *further),
+        *("-m", "nsde_torch.cli", "diagnose", f"system={truth['system']}", "data=csv", "retrain=false"),
+        *(f"data.path={folder / 'data' / name}", f"out_dir={out}", "threads=1", *further),
     ]
     if instruments and truth["exogenous"]:
         words.append(f"data.instruments=[{','.join(truth['exogenous'])}]")
     out.parent.mkdir(parents=True, exist_ok=True)
     started = time.perf_counter()
-    status = "done"
     with (out.parent / f"{name}.log").open("w") as log:
         try:
-            env = {**os.environ, "OMP_NUM_THREADS": "1"}
-            code = subprocess.run(words, stdout=log, stderr=log, env=env, timeout=limit).returncode
-            status = "done" if code == 0 else "failed"
+            done = subprocess.run([sys.executable, *words], stdout=log, stderr=log, timeout=limit)
+            status = "done" if done.returncode == 0 else "failed"
         except subprocess.TimeoutExpired:
             status = "too long"
-    answer = {"status": status, "seconds": round(time.perf_counter() - started, 1), "command": words[3:]}
-    (out.parent / f"{name}.json").write_text(json.dumps(answer, indent=1), encoding="utf-8")
+    seconds = round(time.perf_counter() - started, 1)
+    write_json(out.parent / f"{name}.json", {"status": status, "seconds": seconds, "command": words[2:]})
     return status
 
 
 def judge(truth: Mapping[str, Any], answer: Mapping[str, Any], found: Mapping[str, Any] | None) -> Json:
-    """What became of a case.
-
-    Args:
-        truth: Its truth.
-        answer: Status and time of its diagnosis.
-        found: Its `diagnosis.json`; None where there is none.
-    """
+    """What became of a case, by its truth, the status and time of its diagnosis, and its `diagnosis.json`, if any."""
     true = next(iter(truth["effects"]), "")
     out: Json = {k: truth[k] for k in ("system", "regime", "sticks")}
     out |= {"true": true, "status": answer["status"], "seconds": answer["seconds"]}
@@ -83,24 +69,18 @@ def judge(truth: Mapping[str, Any], answer: Mapping[str, Any], found: Mapping[st
         "lead": bool(own and own[0]["lead"]),
         "lead_reason": (own[0].get("lead_reason") or "") if own else "",
     }
-    cuts = {
-        k: r["before"] / r["after"]
-        for k, r in found["residual"].items()
-        if isinstance(r, dict) and r.get("after")
-    }
-    out["moves"] = max(cuts.values(), default=1.0) if true else None
+    residuals = [r for r in found["residual"].values() if isinstance(r, dict) and r.get("after")]
+    out["moves"] = max((r["before"] / r["after"] for r in residuals), default=1.0) if true else None
     out["inside"], out["intervals"] = held(truth["effects"], found["parameters"]) if out["named"] else (0, 0)
     out["gains"] = {}
     for name in GAINS:
-        said = found["declared_parameters"].get(name)
+        said, gain = found["declared_parameters"].get(name), truth["declared"][name]
         if said and said.get("value"):
-            value, interval = said["value"], said.get("interval_90")
+            low, high = said.get("interval_90") or (None, None)
             out["gains"][name] = {
-                "ratio": value / truth["declared"][name],
-                "held": None if not interval else bool(interval[0] <= truth["declared"][name] <= interval[1]),
-                "half_width": None
-                if not interval
-                else 0.5 * (interval[1] - interval[0]) / truth["declared"][name],
+                "ratio": said["value"] / gain,
+                "held": None if low is None else bool(low <= gain <= high),
+                "half_width": None if low is None else 0.5 * (high - low) / gain,
             }
     return out
 
@@ -109,59 +89,56 @@ def table(judged: Mapping[str, Json]) -> str:
     """Shares by regime, gains by regime and sticks, and every case, as Markdown."""
     every = list(judged.values())
     regimes = sorted({j["regime"] for j in every})
-    lines = ["| | all | " + " | ".join(regimes) + " |", "|---" * (2 + len(regimes)) + "|"]
-
-    def row(what: str, cases: Sequence[Json], key: Any) -> None:
-        cells = []
-        for regime in ("all", *regimes):
-            some = [j for j in cases if regime in ("all", j["regime"]) and key(j) is not None]
-            cells.append(f"{sum(bool(key(j)) for j in some)} of {len(some)}" if some else "")
-        lines.append(f"| {what} | " + " | ".join(cells) + " |")
-
     done = [j for j in every if "verdict" in j]
     singles, nulls = [j for j in done if j["true"]], [j for j in done if not j["true"]]
-    row("diagnosed", every, lambda j: "verdict" in j)
-    row("single effects: named", singles, lambda j: j["named"])
-    row("named or tied", singles, lambda j: j["named"] or j["tied"])
-    row("named first", singles, lambda j: j["first"])
-    row("named, and nothing else", singles, lambda j: j["alone"])
-    row("named, that cut a residual by 10 %: no lead", singles, _no_lead)
-    row("nothing missing: silent", nulls, lambda j: j["verdict"] == "no_effect")
-    cells = []
+
+    def row(what: str, cases: Sequence[Json], key: Callable[[Json], Any]) -> list[str]:
+        cells = [what]
+        for regime in ("all", *regimes):
+            some = [key(j) for j in cases if regime in ("all", j["regime"]) and key(j) is not None]
+            cells.append(f"{sum(map(bool, some))} of {len(some)}" if some else "")
+        return cells
+
+    rows = [
+        row("diagnosed", every, lambda j: "verdict" in j),
+        row("single effects: named", singles, lambda j: j["named"]),
+        row("named or tied", singles, lambda j: j["named"] or j["tied"]),
+        row("named first", singles, lambda j: j["first"]),
+        row("named, and nothing else", singles, lambda j: j["alone"]),
+        row("named, that cut a residual by 10 %: no lead", singles, _no_lead),
+        row("nothing missing: silent", nulls, lambda j: j["verdict"] == "no_effect"),
+        ["90 % intervals of effects that hold"],
+    ]
     for regime in ("all", *regimes):
         some = [j for j in singles if regime in ("all", j["regime"])]
         total = sum(j["intervals"] for j in some)
-        cells.append(f"{sum(j['inside'] for j in some)} of {total}" if total else "")
-    lines.append("| 90 % intervals of effects that hold | " + " | ".join(cells) + " |")
+        rows[-1].append(f"{sum(j['inside'] for j in some)} of {total}" if total else "")
     seconds = sorted(j["seconds"] for j in every)
     if seconds:
-        lines.append(f"| seconds, median (longest) | {seconds[len(seconds) // 2]:.0f} ({seconds[-1]:.0f}) |")
-    lines += ["", "| gains found over true, mean (range); intervals that hold | " + " | ".join(GAINS) + " |"]
-    lines.append("|---" * (1 + len(GAINS)) + "|")
+        rows.append(["seconds, median (longest)", f"{seconds[len(seconds) // 2]:.0f} ({seconds[-1]:.0f})"])
+    gains = []
     for regime in regimes:
         for logged in (True, False):
             some = [j for j in done if j["regime"] == regime and j["sticks"] == logged]
             if some:
+                words = f"{regime}, {'sticks logged' if logged else 'no sticks'}, {len(some)} cases"
                 cells = [_gain([j["gains"][g] for j in some if g in j["gains"]]) for g in GAINS]
-                words = "sticks logged" if logged else "no sticks"
-                lines.append(f"| {regime}, {words}, {len(some)} cases | " + " | ".join(cells) + " |")
-    lines += [
-        "",
-        "| case | system | regime | sticks | true | answer | verdict | lead | cut | s |",
-        "|---" * 10 + "|",
-    ]
+                gains.append([words, *cells])
+    cases = []
     for name, j in sorted(judged.items()):
-        cut = f"x{j['moves']:.2f}" if j.get("moves") else ""
         tie = f" (tie: {', '.join(j['tie'])})" if j.get("tie") else ""
         said = (", ".join(j.get("added", [])) or "nothing") + tie
         lead = j.get("lead_reason", "") if j.get("lead") else ""
-        cells = [name, j["system"], j["regime"], "yes" if j["sticks"] else "no", j["true"] or "nothing", said]
-        lines.append(
-            "| "
-            + " | ".join([*cells, j.get("verdict", j["status"]), lead, cut, f"{j['seconds']:.0f}"])
-            + " |"
+        cut = f"x{j['moves']:.2f}" if j.get("moves") else ""
+        true, verdict = j["true"] or "nothing", j.get("verdict", j["status"])
+        sticks = "yes" if j["sticks"] else "no"
+        cases.append(
+            (name, j["system"], j["regime"], sticks, true, said, verdict, lead, cut, f"{j['seconds']:.0f}")
         )
-    return "\n".join(lines) + "\n"
+    head = ("case", "system", "regime", "sticks", "true", "answer", "verdict", "lead", "cut", "s")
+    of_gains = ("gains found over true, mean (range); intervals that hold", *GAINS)
+    parts = (("", "all", *regimes), rows), (of_gains, gains), (head, cases)
+    return "\n\n".join("\n".join(markdown(*part)) for part in parts) + "\n"
 
 
 def _no_lead(j: Json) -> bool | None:
@@ -179,42 +156,30 @@ def _gain(found: Sequence[Json]) -> str:
 def judge_all(folder: Path) -> str:
     """Judge every case that has an answer; writes `judged.json` and `table.md`."""
     judged = {}
-    for path in sorted((folder / "answers").glob("*.json")):
-        result = folder / "answers" / path.stem / "diagnosis.json"
-        found = json.loads(result.read_text(encoding="utf-8")) if result.is_file() else None
-        truth = json.loads((folder / "truth" / path.name).read_text(encoding="utf-8"))
-        judged[path.stem] = judge(truth, json.loads(path.read_text(encoding="utf-8")), found)
+    for name, truth, answer in answered(folder):
+        result = folder / "answers" / name / "diagnosis.json"
+        judged[name] = judge(truth, answer, read_json(result) if result.is_file() else None)
     text = table(judged)
-    (folder / "judged.json").write_text(json.dumps(judged, indent=1), encoding="utf-8")
+    write_json(folder / "judged.json", judged)
     (folder / "table.md").write_text(text, encoding="utf-8")
     return text
 
 
 def main() -> None:
-    """Answer the cases that have no answer yet, then judge all."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--cases", type=Path, required=True, help="folder of closed_loop.py")
-    parser.add_argument("--jobs", type=int, default=1, help="processes at a time, one thread each")
+    parser = options(__doc__, "cases", jobs=1, names=None, judge=False)
     parser.add_argument("--limit", type=float, default=600.0, help="longest time of one diagnosis [s]")
-    parser.add_argument("--names", nargs="+", default=None, help="these cases alone")
     parser.add_argument("--instruments", action="store_true", help="name logged sticks as instruments")
-    parser.add_argument("--judge", action="store_true", help="diagnose nothing")
     parser.add_argument("overrides", nargs="*", help="further overrides of nsde diagnose")
     given = parser.parse_args()
     folder = given.cases.resolve()
-    names = [
-        p.stem
-        for p in sorted((folder / "truth").glob("*.json"))
-        if given.names is None or p.stem in given.names
-    ]
-    todo = [] if given.judge else [n for n in names if not (folder / "answers" / f"{n}.json").is_file()]
+    todo = [] if given.judge else missing(folder, "answers", given.names)
     started = time.perf_counter()
     with ThreadPoolExecutor(given.jobs) as pool:
 
-        def one(name: str) -> tuple[str, str]:
-            return name, diagnose(folder, name, given.limit, given.instruments, given.overrides)
+        def one(name: str) -> str:
+            return diagnose(folder, name, given.limit, given.instruments, given.overrides)
 
-        for k, (name, status) in enumerate(pool.map(one, todo), start=1):
+        for k, (name, status) in enumerate(zip(todo, pool.map(one, todo), strict=True), start=1):
             print(f"{name} {status} ({k} of {len(todo)}, {time.perf_counter() - started:.0f} s)", flush=True)
     print(judge_all(folder))
 

@@ -1,15 +1,22 @@
-"""The committed blind studies as one corpus: one command, one table, and what a change of the code does to it.
+"""The blind studies as one corpus: what a change of the code, a rule or a threshold does to their answers.
 
-    python benchmarks/blind/corpus.py --out corpus/before
-    python benchmarks/blind/corpus.py --out corpus/after --against corpus/before
-    python benchmarks/blind/corpus.py --out corpus/before --sets springs joints      # some of the sets
-    python benchmarks/blind/corpus.py --out corpus/before --sets recorded \
+    python benchmarks/blind/corpus.py run --out corpus/before                       # every case once, rules watched
+    python benchmarks/blind/corpus.py run --out corpus/after --against corpus/before
+    python benchmarks/blind/corpus.py without --out corpus/before             # again without each rule, where it fires
+    python benchmarks/blind/corpus.py rules --out corpus/before                     # the table of that
+    python benchmarks/blind/corpus.py thresholds --out corpus/before --sets springs carts --count 5
+    python benchmarks/blind/corpus.py run --out corpus/before --sets recorded \\
         --logs "published flights=DATA/hexacopter/trajs.pkl" "strong wind=NEURAL_FLY/custom_figure8_baseline_100wind"
 
-Each set runs in a process of its own on fixed seeds; sets whose outcome is in the folder are not run again. The table
-says how many answers are right, how many machines without an undeclared effect stay silent, how many 90 % intervals
-of effects hold, the processor time of a case and the largest memory of a process of the set. `--against` lists
-the cases whose verdict, effects or ties differ, or a value that moved by more than a tenth of its half-width.
+Seeds are fixed. Each outcome is a file of its own, so that an interrupted pass goes on where it stopped; a case runs in
+a process of its own, so that none knows what another one registered. `run` says how many answers are right, how many
+machines without an undeclared effect stay silent, how many 90 % intervals of effects hold, and what a case takes;
+`--against` lists the cases whose verdict, effects or ties differ, or a value that moved by a tenth of its half-width.
+
+`without` diagnoses again the cases in which a rule (`ledger_rules`) fires with that rule switched off, at most `--most`
+of a rule and until an answer gets worse; `thresholds` halves and doubles each number of `Decisions`. An answer is
+better than another one that is right where the other is not; of two that are alike in this, one that is sure of fewer
+wrong effects, that names fewer wrong ones, that is sure of more true ones, whose intervals miss fewer.
 
 Logs of real machines are a set, too, of those whose place is given (`RECORDED` has their sources). Nobody knows their
 truth: right is what earlier diagnoses found and independent evidence supports.
@@ -18,34 +25,165 @@ truth: right is what earlier diagnoses found and independent evidence supports.
 from __future__ import annotations
 
 import argparse
-import json
-import os
-import subprocess
-import sys
-from collections.abc import Mapping
+import multiprocessing
+import resource
+import tempfile
+import time
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import fields, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-HERE = Path(__file__).resolve().parent
-Json = dict[str, Any]
+import broken_logs
+import closed_loop
+import closed_loop_run
+import generate
+import laws
+import loop_flight
+import odd_springs
+import position_only
+import run
+import smoothed
+import two_frictions
+import two_joints
+from ledger_rules import RULES, counted, without
+from study import Json, diagnosed, line, markdown, options, read_json, sure, truth_of, write_json, written
 
-GENERATED = {
-    "springs": "--seed 8123 --count 24 --systems mass_spring_damper",
-    "carts": "--seed 8123 --count 24 --systems cartpole",
-    "hexacopters": "--seed 8124 --count 4 --systems hexacopter",
+Make = Callable[[], Json]
+Found = dict[tuple[str, str], Json]
+
+
+def _judged(right: bool, truth: Any, inside: list[int] | None = None) -> Json:
+    return {"right": bool(right), "null": not truth, "inside": inside or [0, 0], "truth": list(truth or ())}
+
+
+def _generated(system: str, seed: int, count: int, smooth: bool = False) -> dict[str, Make]:
+    """Cases of `generate.py`; or those of one effect or none behind a smoother."""
+
+    def answer(case: generate.Case, number: int) -> Json:
+        with tempfile.TemporaryDirectory() as raw, tempfile.TemporaryDirectory() as behind:
+            generate.write(case, raw)
+            if smooth:
+                smoothed.smooth(Path(raw), Path(behind), number)
+            folder = Path(behind if smooth else raw)
+            found, truth = run.diagnose_case(folder, case.name), truth_of(folder, case.name)
+        judged = run.judge(truth, found)
+        null = judged["kind"] == "null"
+        right = found["verdict"] == "no_effect" if null else judged["exact"] or judged["in_tie"]
+        return _judged(right, judged["true"], [judged["inside"], judged["intervals"]]) | {"null": null}
+
+    every = generate.cases(seed, count, systems=(system,))
+    some = [c for c in every if not smooth or c.kind in smoothed.KINDS]
+    return {case.name: partial(answer, case, number) for number, case in enumerate(some)}
+
+
+def _studied(case: Callable[..., Json], seed: int, count: int, **given: Any) -> dict[str, Make]:
+    """Cases of a study that makes and judges each in one function."""
+
+    def answer(i: int) -> Json:
+        found = case(seed, i, **given)
+        right = two_joints.right(found) if case is two_joints.case else found.get("right", found.get("named"))
+        return _judged(right, found["truth"], found["inside"])
+
+    return {f"case_{i:03d}": partial(answer, i) for i in range(count)}
+
+
+def _laws(machine: str, seed: int, count: int) -> dict[str, Make]:
+    """Cases of `laws.py`; the true name is that under which the law was found, where it was."""
+
+    def answer(i: int) -> Json:
+        found = laws.case(machine, 1.0, seed, i)
+        true = []
+        if found.get("there"):  # a lead may be the law too
+            true = [n for n in found["sure"] if n not in found["surely_wrong"]]
+            true += [n for n in found["laws"] if n in found["leads"]]
+        held = found.get("held")
+        inside = None if held is None else [int(held), 1]
+        return _judged(found["named"], true, inside) | {"null": not found["truth"]}
+
+    return {f"case_{i:03d}": partial(answer, i) for i in range(count)}
+
+
+def _odd_laws(seed: int, count: int) -> dict[str, Make]:
+    """Springs of `flexible_cases.py`, whose law has no short formula: right says so, and is sure of nothing."""
+
+    def answer(i: int) -> Json:
+        law, _, found = written(
+            lambda folder: laws.write("odd_spring", seed, i, folder), "mass_spring_damper"
+        )
+        right = (found["verdict"] == "no_effect") == (law is None) and not found["sure"]
+        return _judged(right, ()) | {"null": law is None}
+
+    return {f"case_{i:03d}": partial(answer, i) for i in range(count)}
+
+
+def _flown(seed: int, names: tuple[str, ...], smoother: int | None = None) -> dict[str, Make]:
+    """Closed loops of `closed_loop.py`, as logged or behind a smoother of `smoothed.py`."""
+
+    def answer(case: closed_loop.Case) -> Json:
+        with tempfile.TemporaryDirectory() as raw, tempfile.TemporaryDirectory() as behind:
+            closed_loop.write(case, loop_flight.fly(closed_loop.flights_of(case)), Path(raw))
+            truth = truth_of(Path(raw), case.name)
+            if smoother is not None:
+                smoothed.smooth(Path(raw), Path(behind), smoother)
+            folder = Path(raw if smoother is None else behind) / "data" / case.name
+            content = diagnosed(folder, truth["system"])[0].content()
+        judged = closed_loop_run.judge(truth, {"status": "done", "seconds": 0.0}, content)
+        right = judged["alone"] or (judged["tied"] and judged["named"])
+        right = right if truth["effects"] else judged["verdict"] == "no_effect"
+        return _judged(right, truth["effects"], [judged["inside"], judged["intervals"]])
+
+    return {case.name: partial(answer, case) for case in closed_loop.cases(seed) if case.name in names}
+
+
+def _odd_machines(seed: int, names: tuple[str, ...]) -> dict[str, Make]:
+    """Springs of `odd_springs.py` that stand, or whose encoder or motor has steps: right is sure of nothing wrong."""
+
+    def answer(name: str) -> Json:
+        found = odd_springs.diagnosed(name, seed)
+        odd_springs.judge(found)
+        missed = found["verdict"] == "no_effect" if found["may"] else bool(found["added"])
+        true = [n for n in found["added"] if n in found["may"]]
+        return _judged(not found["surely wrong"] and not missed, true) | {"null": not found["may"]}
+
+    return {name.replace(" ", "_"): partial(answer, name) for name in names}
+
+
+def _late(seed: int, count: int) -> dict[str, Make]:
+    """Springs and carts of `broken_logs.py` of which a sensor or the inputs are shifted in time."""
+
+    def answer(case: broken_logs.Case) -> Json:
+        with tempfile.TemporaryDirectory() as folder:
+            log, machine = broken_logs.small_log(case, 0)
+            broken_logs.write(case, log, None, {}, Path(folder))
+            _, found = diagnosed(Path(folder) / "data" / case.name, case.system)
+        return _judged({*found["sure"]} <= {*machine.effects}, machine.effects)
+
+    some = [c for c in broken_logs.cases(seed, 40 * count) if "shifted" in c.fault and not c.regime]
+    return {case.name: partial(answer, case) for case in some[:count]}
+
+
+SETS: dict[str, dict[str, Make]] = {
+    "springs": _generated("mass_spring_damper", 8123, 24),
+    "carts": _generated("cartpole", 8123, 24),
+    "hexacopters": _generated("hexacopter", 8124, 4),
+    "frictions": _studied(two_frictions.case, 1, 10),
+    "positions": _studied(position_only.case, 32, 4, full=False),
+    "positions with rates": _studied(position_only.case, 32, 4, full=True),
+    "joints": _studied(two_joints.case, 202, 5),
+    "laws of springs": _laws("spring", 3001, 10),
+    "laws of carts": _laws("cart", 3001, 4),
+    "odd springs": _odd_laws(8601, 4),
+    "smoothed springs": _generated("mass_spring_damper", 8123, 10, smooth=True),
+    "smoothed carts": _generated("cartpole", 8123, 8, smooth=True),
+    "late": _late(8123, 6),
+    "standing": _odd_machines(1, ("sticks", "nothing", "levels", "coarse encoder", "slew", "three")),
+    "closed loops": _flown(77, ("case_01", "case_05", "case_06", "case_07", "case_11", "case_15", "case_18")),
+    "smoothed loops": _flown(77, ("case_01", "case_07", "case_15"), smoother=5),
 }
-"""Arguments of `generate.py`; `run.py` diagnoses the cases."""
-
-STUDIES = {
-    "joints": ("two_joints.py", "--seed 202 --count 4"),
-    "frictions": ("two_frictions.py", "--seed 1 --count 10"),
-    "positions": ("position_only.py", "--seed 32 --count 4"),
-    "laws of springs": ("laws.py", "--machine spring --seed 3001 --count 8"),
-    "laws of carts": ("laws.py", "--machine cart --seed 3001 --count 4"),
-}
-"""Studies that make and diagnose their cases in one command."""
-
-
+"""Each answer has `right`, `null`, `inside` and the true names."""
 RECORDED: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "published flights": ("system=hexacopter data=published", ("motor_lag", "thrust_sag", "flapping_moment")),
     "strong wind": (  # aerorobotics/neural-fly, data/experiment, the table in a folder of its own
@@ -57,92 +195,117 @@ RECORDED: Mapping[str, tuple[str, tuple[str, ...]]] = {
 """Arguments of `nsde diagnose` for each log, and the effects that are expected of it."""
 
 
-def ran(words: list[str], log: Path) -> tuple[float, float]:
-    """Run a script of this folder; its processor seconds, and the largest memory of one of its processes [MB]."""
-    with log.open("a", encoding="utf-8") as out:
-        env = {**os.environ, "OMP_NUM_THREADS": "1"}
-        process = subprocess.Popen([sys.executable, *words], stdout=out, stderr=out, env=env)
-        _, status, usage = os.wait4(process.pid, 0)  # what it used, its own processes included
-        process.returncode = os.waitstatus_to_exitcode(status)
-    if process.returncode:
-        raise SystemExit(f"{' '.join(words)} ended with {process.returncode}; its output is in {log}")
-    return usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024
+def _recorded(words: str, expected: tuple[str, ...], path: Path) -> Json:
+    """Diagnose a recorded log by the command line."""
+    from nsde_torch.cli.main import main as nsde
+
+    with tempfile.TemporaryDirectory() as folder:
+        nsde(["diagnose", *words.split(), f"data.path={path}", "retrain=false", f"out_dir={folder}"])
+        found = read_json(Path(folder) / "diagnosis.json")
+    return _judged(set(expected) <= set(found["added"]), expected) | summary(found)
 
 
-def of_logs(logs: Mapping[str, Path], folder: Path, log: Path) -> tuple[float, float]:
-    """Diagnose recorded logs, the answers written to a folder; processor seconds and the largest memory [MB]."""
-    folder.mkdir(exist_ok=True)
-    costs = []
-    for name, path in logs.items():
-        words, expected = RECORDED[name]
-        where = folder.parent / name.replace(" ", "_")
-        given = [*words.split(), f"data.path={path}", "retrain=false", f"out_dir={where}"]
-        costs.append(ran(["-m", "nsde_torch.cli", "diagnose", *given], log))
-        found = json.loads((where / "diagnosis.json").read_text(encoding="utf-8"))
-        found |= {"truth": list(expected), "right": set(expected) <= set(found["added"])}
-        (folder / f"{where.name}.json").write_text(json.dumps(found), encoding="utf-8")
-    return sum(s for s, _ in costs), max(mb for _, mb in costs)
+# ---- outcomes ------------------------------------------------------------------------------------------
 
 
-def answered(name: str, out: Path, logs: Mapping[str, Path]) -> Json:
-    """Run a set; its cost and its answers, each with `right`, `null` and `inside`."""
-    folder = out / name.replace(" ", "_")
-    folder.mkdir(parents=True, exist_ok=True)
-    log = folder / "output.log"
-    if name == "recorded":
-        answers, judged = folder / "answers", {}
-        seconds, memory = of_logs(logs, answers, log)
-    elif name in GENERATED:
-        cases = ["--out", str(folder)]
-        ran([str(HERE / "generate.py"), *GENERATED[name].split(), *cases], log)
-        seconds, memory = ran([str(HERE / "run.py"), "--cases", str(folder)], log)
-        answers = folder / "answers"
-        judged = json.loads((folder / "judged.json").read_text(encoding="utf-8"))
-    else:
-        script, given = STUDIES[name]
-        answers = folder / "answers"
-        seconds, memory = ran([str(HERE / script), *given.split(), "--out", str(answers)], log)
-        judged = {}
-    found = {}
-    for path in sorted(answers.glob("*.json")):
-        answer = json.loads(path.read_text(encoding="utf-8"))
-        found[path.stem] = {**summary(answer), **verdict(answer, judged.get(path.stem))}
-    return {"seconds": seconds, "memory_mb": memory, "cases": found}
-
-
-def summary(answer: Json) -> Json:
-    """What two versions of the code are compared by."""
-    values = {
-        label: [p["value"], p.get("interval_90")] if isinstance(p, dict) else p
-        for label, p in answer.get("parameters", {}).items()
-    }
-    ties = sorted(sorted(tie["effects"]) for tie in answer.get("ties", []))
+def summary(content: Json) -> Json:
+    """What two answers are compared by."""
     return {
-        "verdict": answer.get("verdict", "crash"),
-        "added": answer["added"],
-        "ties": ties,
-        "values": values,
+        "verdict": content["verdict"],
+        "added": content["added"],
+        "ties": sorted(sorted(tie["effects"]) for tie in content["ties"] or ()),
+        "values": {k: [p["value"], p.get("interval_90")] for k, p in content["parameters"].items()},
+        "leads": [f["name"] for f in content["findings"] if f["lead"]],
+        "sure": sure(content),
     }
 
 
-def verdict(answer: Json, judged: Json | None) -> Json:
-    """Whether an answer is right, whether nothing was undeclared, and intervals of effects that hold, of how many."""
-    if judged is not None:
-        null = judged["kind"] == "null"
-        right = answer["verdict"] == "no_effect" if null else judged["exact"] or judged["in_tie"]
-        return {"right": right, "null": null, "inside": [judged["inside"], judged["intervals"]]}
-    held = answer.get("held")  # of a law: whether its size and shape are held, where they have intervals
-    inside = answer.get("inside") or ([sum(held), len(held)] if isinstance(held, list) else [0, 0])
-    right = answer["right"] if "right" in answer else bool(answer.get("named"))
-    return {"right": right, "null": not answer.get("truth"), "inside": inside}
+def outcome(make: Make, inside: Callable[[], AbstractContextManager[None]], decisions: Json) -> Json:
+    """Diagnose a case, with rules watched or switched off or another threshold, and judge it.
+
+    Answers are judged by their names and intervals: an oracle that a study asks beside it is not worked out.
+    """
+    import torch
+
+    import nsde_torch.api.diagnosing as api
+    from nsde_torch.diagnosis import pipeline
+    from nsde_torch.diagnosis.decisions import DECISIONS, Options
+
+    torch.set_num_threads(1)
+    original, first, kept = pipeline.diagnose, dict[str, Any](), list[Any]()
+
+    def diagnose(*args: Any, **how: Any) -> Any:
+        if kept:
+            return kept[0]
+        if "alpha" in decisions:
+            args = tuple(replace(a, **decisions) if isinstance(a, Options) else a for a in args)
+        elif decisions:
+            how["decisions"] = replace(how.get("decisions") or DECISIONS, **decisions)
+        started = time.process_time()
+        with inside():
+            kept.append(original(*args, **how))
+            content = kept[0].content()
+        first.update(summary(content), seconds=time.process_time() - started)
+        return kept[0]
+
+    pipeline.diagnose = api.diagnose_runs = diagnose
+    judged = make()
+    return {**first, **judged, "mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024}
+
+
+def _write(path: Path, make: Make, rule: str | None, decisions: Json) -> None:
+    fired: dict[str, int] = {}
+    inside: Any = partial(counted, fired)
+    if rule is not None:
+        inside = partial(without, next(r for r in RULES if r.name == rule))
+    try:
+        found = outcome(make, nullcontext if decisions else inside, decisions)
+    except Exception as error:  # without a rule a diagnosis may end
+        found = {"error": repr(error)}
+    write_json(path, {**found, "fired": fired})
+
+
+def kept(out: Path, key: tuple[str, str], make: Make, rule: str | None = None, **decisions: Any) -> Json:
+    """The outcome of a case: read, or made in a process of its own."""
+    path = _path(out, key, rule, decisions)
+    if not path.is_file():
+        fork = multiprocessing.get_context("fork")
+        process = fork.Process(target=_write, args=(path, make, rule, decisions))
+        process.start()
+        process.join()
+        found = read_json(path)
+        print(path.parent.name, *key, found.get("error") or f"{found.get('seconds', 0.0):.0f} s", flush=True)
+    return dict(read_json(path))
+
+
+def _path(out: Path, key: tuple[str, str], rule: str | None, decisions: Json) -> Path:
+    folder = "all" if rule is None else "without " + rule.replace(":", "")
+    for field, value in decisions.items():
+        folder = f"{field} {value:g}"
+    return out / folder.replace(" ", "_") / f"{'-'.join(key).replace(' ', '_')}.json"
+
+
+def fires(out: Path, sets: Mapping[str, dict[str, Make]], count: int) -> Found:
+    """Every case of some sets once, each rule watched."""
+    import nsde_torch.diagnosis.pipeline  # noqa: F401  here once, and not in each process
+
+    found = {}
+    for k in range(count):  # in turn, so that a pass that was cut short has some of each
+        for name, cases in sets.items():
+            if k < len(cases):
+                case = list(cases)[k]
+                found[name, case] = kept(out, (name, case), cases[case])
+    return found
+
+
+# ---- comparisons ---------------------------------------------------------------------------------------
 
 
 def changes(before: Json, after: Json) -> list[str]:
     """What differs between the answers to one case."""
-    out = [f"{k}: {before[k]} -> {after[k]}" for k in ("verdict", "added", "ties") if before[k] != after[k]]
-    for label in sorted({*before["values"], *after["values"]}):
-        if label not in before["values"] or label not in after["values"]:
-            continue  # its effect differs, which is said above
+    keys = ("verdict", "added", "ties", "leads")
+    out = [f"{k}: {before[k]} -> {after[k]}" for k in keys if before[k] != after[k]]
+    for label in sorted({*before["values"]} & {*after["values"]}):
         (old, ends), (new, now) = before["values"][label], after["values"][label]
         if (ends is None) != (now is None):
             out.append(f"{label}: interval {ends} -> {now}")
@@ -153,63 +316,150 @@ def changes(before: Json, after: Json) -> list[str]:
     return out
 
 
-def table(sets: dict[str, Json]) -> list[str]:
-    """One row a set, as Markdown."""
-    lines = [
-        "| set | right | nulls silent | intervals that hold | CPU s a case | MB |",
-        "|---|---|---|---|---|---|",
-    ]
-    for name, found in sets.items():
-        cases = list(found["cases"].values())
+def worth(answer: Json) -> tuple[int, ...]:
+    """What answers are compared by, the most important first; larger is better."""
+    true = {*answer["truth"]}
+    tied = {n for tie in answer["ties"] for n in tie if not true.isdisjoint(" + ".join(tie).split(" + "))}
+    return (
+        int(answer["right"]),
+        -sum(name not in true for name in answer["sure"]),
+        -sum(name not in true | tied for name in answer["added"]),
+        sum(name in true for name in answer["sure"]),
+        answer["inside"][0] - answer["inside"][1],
+    )
+
+
+def compared(before: Json, after: Json) -> tuple[str, list[str]]:
+    """Whether another answer is better, worse or the same, and what differs."""
+    if "error" in after:
+        return "worse", [after["error"]]
+    said, one, two = changes(before, after), worth(before), worth(after)
+    if one == two:
+        return ("same" if not said else "other"), said
+    return ("better" if two > one else "worse"), said
+
+
+def table(found: Found) -> list[str]:
+    """One row a set."""
+    rows = []
+    for name in dict.fromkeys(key[0] for key in found):
+        cases = [answer for key, answer in found.items() if key[0] == name and "error" not in answer]
         nulls = [c for c in cases if c["null"]]
         held = [sum(c["inside"][k] for c in cases) for k in (0, 1)]
-        cells = (
-            f"{sum(c['right'] for c in cases)} of {len(cases)}",
-            f"{sum(c['right'] for c in nulls)} of {len(nulls)}",
-            f"{held[0]} of {held[1]}",
-            f"{found['seconds'] / len(cases):.1f}",
-            f"{found['memory_mb']:.0f}",
+        seconds = sum(c.get("seconds", 0.0) for c in cases) / max(len(cases), 1)
+        rows.append(
+            (
+                name,
+                f"{sum(c['right'] for c in cases)} of {sum(key[0] == name for key in found)}",
+                f"{sum(c['right'] for c in nulls)} of {len(nulls)}",
+                f"{held[0]} of {held[1]}",
+                f"{seconds:.1f}",
+                f"{max((c['mb'] for c in cases), default=0.0):.0f}",
+            )
         )
-        lines.append(f"| {name} | " + " | ".join(cells) + " |")
-    return lines
+    return markdown(("set", "right", "nulls silent", "intervals that hold", "CPU s a case", "MB"), rows)
+
+
+def against(found: Found, other: Path) -> None:
+    """Print what differs from the answers of other code."""
+    differ = 0
+    for key, answer in found.items():
+        said = compared(read_json(_path(other, key, None, {})), answer)[1]
+        differ += bool(said)
+        for text in said:
+            print(f"{' '.join(key)}: {text}")
+    print(f"{differ} of {len(found)} answers differ")
+
+
+def where(rule: str, found: Found) -> list[tuple[str, str]]:
+    """Cases in which a rule fires, what takes least time first."""
+    keys = [key for key in found if rule in found[key]["fired"]]
+    return sorted(keys, key=lambda key: float(found[key].get("seconds", 0.0)))
+
+
+def again(a: argparse.Namespace, found: Found) -> None:
+    """Cases again without each rule, where it fires, until one gets worse; rules that fire in few cases first."""
+    ends = time.monotonic() + 60.0 * a.minutes
+    names = [rule.name for rule in RULES if not a.rules or rule.name in a.rules]
+    for name in sorted(names, key=lambda rule: len(where(rule, found))):
+        for key in where(name, found)[: a.most]:
+            if time.monotonic() > ends:
+                return
+            other = kept(a.out, key, SETS[key[0]][key[1]], name)
+            if compared(found[key], other)[0] == "worse":
+                break
+
+
+def rules(out: Path, found: Found) -> list[str]:
+    """One row a rule, and the answers that differ without it."""
+    rows, details = [], []
+    for rule in RULES:
+        counts, worse = dict.fromkeys(("better", "worse", "other", "same"), 0), []
+        for key in where(rule.name, found):
+            path = _path(out, key, rule.name, {})
+            if not path.is_file():
+                continue
+            what, said = compared(found[key], read_json(path))
+            counts[what] += 1
+            worse += [" ".join(key)] if what == "worse" else []
+            details += [f"{rule.name}: {' '.join(key)}: {what}: {text}" for text in said if what != "same"]
+        fired, tried = len(where(rule.name, found)), " / ".join(map(str, counts.values()))
+        rows.append((f"`{rule.name}`: {rule.purpose}", fired, tried, ", ".join(worse)))
+    head = ("rule", "fires in", "without it: better / worse / other / same", "cases that get worse")
+    return [*markdown(head, rows), "", *details]
+
+
+def thresholds(a: argparse.Namespace, found: Found) -> None:
+    """Print which answers change where a number that decides stands at half or at twice its value."""
+    from nsde_torch.diagnosis.decisions import DECISIONS
+    from nsde_torch.errors import NsdeError
+
+    print("\n".join(markdown(("field", "halved", "doubled"), [])))
+    for field in fields(DECISIONS):
+        value = getattr(DECISIONS, field.name)
+        if field.name == "most_effects" or isinstance(value, bool) or not isinstance(value, int | float):
+            continue
+        cells = [f"`{field.name}`"]
+        for factor in (0.5, 2.0):
+            number = max(1, round(value * factor)) if isinstance(value, int) else value * factor
+            try:
+                replace(DECISIONS, **{field.name: number})
+            except NsdeError:
+                cells.append("not in range")
+                continue
+            others = {k: kept(a.out, k, SETS[k[0]][k[1]], None, **{field.name: number}) for k in found}
+            worse = [" ".join(k) for k, other in others.items() if compared(found[k], other)[1]]
+            cells.append(f"{len(worse)}: {', '.join(worse)}")
+        print(line(cells), flush=True)
 
 
 def main() -> None:
-    """Run the sets that have no outcome yet, print the table, and compare."""
-    names = [*GENERATED, *STUDIES, "recorded"]
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--out", type=Path, required=True, help="folder of the answers")
-    parser.add_argument("--sets", nargs="*", choices=names, default=names[:-1])
+    parser = options(__doc__, "out", count=max(map(len, SETS.values())))
+    parser.add_argument("what", choices=("run", "without", "rules", "thresholds"))
     parser.add_argument(
-        "--logs", nargs="+", default=[], metavar="NAME=PATH", help=f"recorded logs: {', '.join(RECORDED)}"
+        "--sets", nargs="*", choices=[*SETS, "recorded"], default=list(SETS), help="some sets"
     )
+    parser.add_argument("--logs", nargs="+", default=[], metavar="NAME=PATH", help=", ".join(RECORDED))
     parser.add_argument("--against", type=Path, help="folder of the answers of other code")
+    parser.add_argument("--most", type=int, default=6, help="most cases in which a rule is switched off")
+    parser.add_argument("--minutes", type=float, default=600.0, help="after which no further case is begun")
+    parser.add_argument("--rules", nargs="*", default=[], help="some of the rules alone")
     a = parser.parse_args()
     logs = {name: Path(path).resolve() for name, path in (word.split("=", 1) for word in a.logs)}
     if unknown := logs.keys() - RECORDED.keys():
         parser.error(f"--logs knows {', '.join(RECORDED)}; not {', '.join(sorted(unknown))}")
-    if "recorded" in a.sets and not logs:
-        parser.error("the set recorded needs --logs NAME=PATH ...")
-    sets = {}
-    for name in a.sets:
-        path = a.out / f"{name.replace(' ', '_')}.json"
-        if not path.is_file():
-            found = answered(name, a.out, logs)  # the folder exists from here on
-            path.write_text(json.dumps(found, indent=1), encoding="utf-8")
-        sets[name] = json.loads(path.read_text(encoding="utf-8"))
-        print("\n".join(table({name: sets[name]})[-1:]), flush=True)
-    print("\n" + "\n".join(table(sets)))
-    if a.against is None:
-        return
-    differ = 0
-    for name, found in sets.items():
-        other = json.loads((a.against / f"{name.replace(' ', '_')}.json").read_text(encoding="utf-8"))
-        for case, answer in found["cases"].items():
-            said = changes(other["cases"][case], answer)
-            differ += bool(said)
-            for line in said:
-                print(f"{name} {case}: {line}")
-    print(f"{differ} of {sum(len(s['cases']) for s in sets.values())} answers differ")
+    SETS["recorded"] = {name: partial(_recorded, *RECORDED[name], path) for name, path in logs.items()}
+    found = fires(a.out, {name: SETS[name] for name in a.sets}, a.count)
+    if a.what == "run":
+        print("\n".join(table(found)))
+        if a.against is not None:
+            against(found, a.against)
+    elif a.what == "without":
+        again(a, found)
+    elif a.what == "rules":
+        print("\n".join(rules(a.out, found)))
+    else:
+        thresholds(a, found)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """Ties of two members, broken by one designed experiment or by the usual ones of the same length and limits.
 
     python benchmarks/blind/design_ties.py --machine spring --seed 1 --count 12 --out runs/ties
+    python benchmarks/blind/design_ties.py --machine quadrotor --seed 1 --count 5 --out runs/flights
 
 Every case is another machine: which member is true, its sizes and the runs there are. The runs are made ever smaller
 until they do not tell the members apart (less than 3 nats), as ties of a diagnosis are. Then one experiment is
@@ -13,14 +14,21 @@ case; `--report` sums up a folder.
 Some ties nothing breaks within their limits. An oracle says which: a longer search that knows which member is true and
 its sizes, and is worth what it tells at these alone. Where it expects less than 3 nats, and nothing that was flown
 broke the tie either, no experiment of this length and within these limits is to be had.
+
+Kinds of springs and carts are `bias` (dry friction with a force, or of unequal size), `late` (a lag or a delay) and
+`drag` (in proportion to speed, or its square). Quadrotors fly in closed loop, in gusts of their own, by a cascade that
+knows the declared physics alone; the runs there are are two gentle flights of constant heading, the room is 6 x 6 x 3
+m, with 5 m/s and 4 rad/s. Their kinds are `drag`, `late`, `weak` (one weak motor, or an offset mass) and `wind` (drag
+with a steady wind, or drag and a tilted thrust). Payload against thrust is none: both are the one number `thrust_gain`.
 """
 
 from __future__ import annotations
 
-import argparse
+import contextlib
 import json
 import tempfile
 import time
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -28,173 +36,318 @@ from typing import Any
 
 import numpy as np
 import torch
-from design_oracle import Array, Json, oracle
-from study import appended
+from study import Array, Json, options
 
 import nsde_torch
 from nsde_torch.data import Run
 from nsde_torch.design import DesignOptions, Experiment, Question, design
 from nsde_torch.design.experiment import write_plan
+from nsde_torch.design.flown import evidence
 from nsde_torch.design.limits import limits_of
-from nsde_torch.design.members import members_of, open_loop
-from nsde_torch.design.proposals import Signals
+from nsde_torch.design.members import Drive, Rollouts, members_of, open_loop
+from nsde_torch.design.paths import Paths, flown_paths, point_times
+from nsde_torch.design.proposals import Family, Judged, Separation, Signals, best_of_each, search
 from nsde_torch.design.questions import SURE
 from nsde_torch.design.rehearsal import against, fit_all
+from nsde_torch.errors import ConfigError
 from nsde_torch.systems import System
 from nsde_torch.systems.options import system_options
 
-SYSTEMS = {"spring": "mass_spring_damper", "cart": "cartpole"}
-KINDS = ("bias", "late", "drag")
-_SMALLER = (
-    (1.0, 8.0, 1.0),
-    (0.5, 6.0, 1.0),
-    (0.25, 4.0, 1.0),
-    (0.25, 4.0, 2.0),
-    (0.15, 4.0, 4.0),
-    (0.15, 3.0, 8.0),
-)
-LADDER: dict[str, tuple[tuple[float, float, float], ...]] = {
-    "bias": (
+Effects = dict[str, dict[str, Any]]
+DT = 0.02
+
+
+class Oracle:
+    """Judges experiments at the truth, by a design's members, limits and start."""
+
+    def __init__(self, e: Experiment, right: int, theta: Array, drive: Callable[[Array], Drive]) -> None:
+        member = e.members[right]
+        self._theta, self.limits, self._start, self._drive = theta, e.limits, e.start, drive
+        self._rollouts = Rollouts(member.system, dt=member.log.dt)
+        self._pair = Separation(member, e.members[1 - right])
+
+    def judge(self, tables: Array) -> Judged:
+        """Judge experiments (C, N, m)."""
+        c = len(tables)
+        x, _, u = self._rollouts.run(
+            np.tile(self._theta, (c, 1)), np.tile(self._start, (c, 1)), self._drive(tables), tables.shape[1]
+        )
+        use = self.limits.use(x)
+        fine = np.nan_to_num(use, nan=np.inf).max(1) <= 1.0
+        nats = np.full(c, -np.inf)
+        if fine.any():
+            nats[fine] = self._pair.nats(x[None, fine], u[None, fine], self._theta[None])[0]
+        return Judged(nats, nats, use)
+
+
+def oracle(
+    e: Experiment,
+    right: int,
+    truth: Effects,
+    family: Family,
+    drive: Callable[[Array], Drive],
+    *,
+    budget: tuple[int, int],
+    before: Array,
+    seed: int,
+) -> tuple[float, Array | None]:
+    """The most that an experiment is worth [nats] to one who knows the truth, and its rows.
+
+    A longer search (`budget`: proposals and generations) than a design's, with the same proposals, judged at the truth
+    alone; `before` are inputs or places of a run there is.
+    """
+    sizes = {f"{effect}.{name}": value for effect, own in truth.items() for name, value in own.items()}
+    member = e.members[right]
+    theta = member.theta.copy()
+    for i, label in enumerate(member.vector.labels):
+        indexed = label.endswith("]") and label not in sizes
+        name, _, axis = label.partition("[") if indexed else (label, "", "")
+        if name in sizes:
+            value = np.atleast_1d(np.asarray(sizes[name], dtype=np.float64))
+            theta[i] = value[int(axis[:-1]) if axis else 0]
+    judge = Oracle(e, right, theta, drive)
+    rng = np.random.default_rng([seed, 13])
+    plans = best_of_each(judge, family.baselines(rng, before))
+    proposals, generations = budget
+    how: Json = {"proposals": proposals, "generations": generations, "keep": 1, "rng": rng}
+    with contextlib.suppress(ConfigError):
+        plans += search(judge, family, say=lambda stage, done, total: None, **how)[0]
+    best = max(plans, key=lambda p: p.worth, default=None)
+    return (0.0, None) if best is None else (best.worth, best.table)
+
+
+def planned(system: str, names: tuple[str, ...], rows: Array, seed: int, **how: Any) -> Run:
+    """A plan run once by the plant of the package."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "plan.csv"
+        write_plan(file, names, rows)
+        raw = nsde_torch.simulate(system, seed=seed, plan=file, **how).runs[0]
+    return Run(raw.name, raw.t, raw.x, raw.u)
+
+
+# ---- springs and carts ---------------------------------------------------------------------------------
+
+
+class Small:
+    """A spring or a cart under forces."""
+
+    seed = 77
+    kinds: Sequence[str] = ("bias", "late", "drag")
+    oracle = (192, 14)
+    smaller = (
+        (1.0, 8.0, 1.0),
+        (0.5, 6.0, 1.0),
+        (0.25, 4.0, 1.0),
+        (0.25, 4.0, 2.0),
+        (0.15, 4.0, 4.0),
+        (0.15, 3.0, 8.0),
+    )
+    larger = (
         (1.0, 8.0, 1.0),
         (1.5, 6.0, 1.0),
         (2.0, 5.0, 1.0),
         (2.0, 4.0, 2.0),
         (3.0, 4.0, 4.0),
         (3.0, 3.0, 8.0),
-    ),
-    "late": _SMALLER,
-    "drag": _SMALLER,
-}
-"""Size of the forces, length [s] and noise of the runs there are, tried in turn until the members are tied."""
-DT = 0.02
-ORACLE = (192, 14)
-"""Proposals and generations of the oracle's search."""
-
-
-def case(
-    machine: str, kind: str, rng: np.random.Generator
-) -> tuple[Json, tuple[Json, Json], tuple[str, ...] | None]:
-    """Effects of both members with the sizes that they have where they are true, and the declared physics."""
-    at = "" if machine == "spring" else "[cart]"
-    size = float(np.exp(rng.uniform(np.log(0.08), np.log(0.3))))
-    bias = float(size * rng.uniform(0.2, 0.5) * rng.choice([-1.0, 1.0]))
-    late = float(rng.uniform(0.04, 0.1))
-    width = float(rng.uniform(0.01, 0.03))
-    if kind == "bias":
-        dry = {"size": size, "width": width}
-        return (
-            {},
-            (
-                {f"coulomb_friction{at}": dry, f"constant_force{at}": {"acceleration": bias}},
-                {
-                    f"asymmetric_friction{at}": {
-                        "size_forward": size - bias,
-                        "size_backward": size + bias,
-                        "width": width,
-                    }
-                },
-            ),
-            None,
-        )
-    if kind == "late":
-        return {}, ({"actuator_lag": {"time_constant": late}}, {"input_delay": {"delay": late}}), None
-    drag = float(rng.uniform(0.2, 0.6))
-    declared = ("linear_spring",) if machine == "spring" else None
-    return (
-        {},
-        (
-            {f"viscous_friction{at}": {"damping": drag}},
-            {f"quadratic_damping{at}": {"damping": 2.0 * drag}},
-        ),
-        declared,
     )
+    """Size of the forces, length [s] and noise of the runs there are, tried in turn until the members are tied."""
 
+    def __init__(self, name: str) -> None:
+        self.spring = name == "spring"
+        self.name = "mass_spring_damper" if self.spring else "cartpole"
 
-def runs_there_are(
-    machine: str,
-    truth: Json,
-    declared: tuple[str, ...] | None,
-    size: float,
-    duration: float,
-    noise: float,
-    seed: int,
-) -> Any:
-    """Two runs of the true machine under forces `size` times as large as usual."""
-    parameters: Json = {}
-    if machine == "spring":
-        options: Json = {"force_size": 0.5 * size, "region": [[-0.3 * size, 0.3 * size]] * 2}
-        if declared is not None and "viscous_friction" not in truth:
+    def case(self, kind: str, rng: np.random.Generator) -> tuple[Effects, Effects]:
+        """Effects of both members with the sizes that they have where they are true."""
+        self.ladder = self.larger if kind == "bias" else self.smaller
+        self.declared = ("linear_spring",) if kind == "drag" and self.spring else None
+        at = "" if self.spring else "[cart]"
+        size = float(np.exp(rng.uniform(np.log(0.08), np.log(0.3))))
+        bias = float(size * rng.uniform(0.2, 0.5) * rng.choice([-1.0, 1.0]))
+        late, width = float(rng.uniform(0.04, 0.1)), float(rng.uniform(0.01, 0.03))
+        if kind == "bias":
+            dry = {f"coulomb_friction{at}": {"size": size, "width": width}}
+            unequal = {"size_forward": size - bias, "size_backward": size + bias, "width": width}
+            return dry | {f"constant_force{at}": {"acceleration": bias}}, {
+                f"asymmetric_friction{at}": unequal
+            }
+        if kind == "late":
+            return {"actuator_lag": {"time_constant": late}}, {"input_delay": {"delay": late}}
+        drag = float(rng.uniform(0.2, 0.6))
+        return {f"viscous_friction{at}": {"damping": drag}}, {
+            f"quadratic_damping{at}": {"damping": 2.0 * drag}
+        }
+
+    def plant(self, truth: Effects, noise: float) -> Json:
+        """The true machine; viscous friction is a parameter of the spring, next to nothing where it is not declared."""
+        parameters: Effects = {k: v for k, v in truth.items() if k == "viscous_friction"}
+        if self.declared is not None and not parameters:
             parameters = {"viscous_friction": {"damping": 1e-9}}
-    shared: Json = {
-        "effects": [{k: v} for k, v in truth.items() if k != "viscous_friction"],
-        "parameters": {**parameters, **{k: v for k, v in truth.items() if k == "viscous_friction"}},
-        "sensor_noise": noise,
-        "dt": DT,
+        effects = [{k: v} for k, v in truth.items() if k != "viscous_friction"]
+        return {"effects": effects, "parameters": parameters, "sensor_noise": noise, "dt": DT}
+
+    def runs(self, truth: Effects, size: float, duration: float, noise: float, seed: int) -> list[Run]:
+        """Two runs under forces `size` times as large as usual."""
+        self.noise, plant = noise, self.plant(truth, noise)
+        if self.spring:
+            more: Json = {"force_size": 0.5 * size, "region": [[-0.3 * size, 0.3 * size]] * 2}
+            made = nsde_torch.simulate(self.name, durations=[duration] * 2, seed=seed, options=more, **plant)
+            return [Run(r.name, r.t, r.x, r.u) for r in made.runs]
+        runs, rng = [], np.random.default_rng([seed, 5])
+        t = DT * np.arange(round(duration / DT) + 1)
+        for i in range(2):
+            f = np.exp(rng.uniform(np.log(0.1), np.log(2.0), (6, 1)))
+            wave = np.sin(2 * np.pi * (f * t + rng.uniform(size=(6, 1)))).sum(0) / 3.0
+            rows, hanging = np.column_stack((t, 6.0 * size * wave)), {"start": {"theta": np.pi}}
+            run = planned(self.name, ("force",), rows, seed + 500 * i, options=hanging, **plant)
+            runs.append(replace(run, name=f"run_{i}"))
+        return runs
+
+    def options(self, system: System, runs: Sequence[Run], duration: float, wider: float) -> Json:
+        """Limits about the middle of what the runs held, and what is searched."""
+        held = limits_of(system, runs, {})
+        names = [*held.inputs, *held.states]
+        low, high = np.append(held.low, held.floor), np.append(held.high, held.ceiling)
+        middle, half = 0.5 * (low + high), 0.5 * wider * (high - low)
+        ends = {n: [m - h, m + h] for n, m, h in zip(names, middle.tolist(), half.tolist(), strict=True)}
+        return {"limits": ends, "hertz": (0.2, 5.0), "proposals": 120, "generations": 12}
+
+    def family(self, e: Experiment, runs: Sequence[Run], duration: float) -> tuple[Family, Any, Array]:
+        """What an oracle proposes, how it is driven, and what a run held."""
+        assert e.hertz is not None
+        return Signals(e.limits, DT, round(duration / DT), e.hertz), open_loop, max(runs, key=len).u
+
+    def flown(
+        self, truth: Effects, e: Experiment, table: Array, seed: int, noise: float | None = None
+    ) -> Run:
+        """A plan flown once by the true machine."""
+        start = {"start": dict(zip(e.system.state_names, e.start.tolist(), strict=True))}
+        plant = self.plant(truth, self.noise if noise is None else noise)
+        rows = replace(e, plan=replace(e.plan, table=table)).rows()
+        return planned(self.name, tuple(e.given), rows, seed, options=start, **plant)
+
+    def judged(
+        self, e: Experiment, runs: Sequence[Run], question: Question, flown: Mapping[str, Run], right: int
+    ) -> dict[str, Json]:
+        """What each experiment brought."""
+        fits = fit_all(e.members, list(flown.values()))
+        return {
+            name: {"obtained": against(fit.brought, right), "excess": fit.excess}
+            for name, fit in zip(flown, fits, strict=True)
+        }
+
+
+class Quadrotor(Small):
+    """A quadrotor in closed loop on paths."""
+
+    seed = 78
+    kinds = ("drag", "late", "weak", "wind")
+    oracle = (40, 4)
+    declared = None
+    ladder = (
+        (1.2, 8.0, 1.0),
+        (0.6, 8.0, 1.0),
+        (0.3, 8.0, 1.0),
+        (0.1, 8.0, 1.0),
+        (0.1, 5.0, 1.0),
+        (0.1, 3.0, 1.0),
+    )
+    """Half-width of the room [m], length [s] and noise of the flights there are."""
+    limits: Json = {
+        **{"p_x": [-3.0, 3.0], "p_y": [-3.0, 3.0], "p_z": [0.5, 3.5]},
+        **{f"v_{axis}": [-5.0, 5.0] for axis in "xyz"},
+        **{f"w_{axis}": [-4.0, 4.0] for axis in "xyz"},
     }
-    if machine == "spring":
-        return nsde_torch.simulate(
-            SYSTEMS[machine], durations=[duration] * 2, seed=seed, options=options, **shared
-        ).runs
-    runs = []
-    rng = np.random.default_rng([seed, 5])
-    t = DT * np.arange(round(duration / DT) + 1)
-    for i in range(2):
-        f = np.exp(rng.uniform(np.log(0.1), np.log(2.0), (6, 1)))
-        wave = np.sin(2 * np.pi * (f * t + rng.uniform(size=(6, 1)))).sum(0) / 3.0
-        with tempfile.TemporaryDirectory() as folder:
-            file = Path(folder) / "plan.csv"
-            write_plan(file, ("force",), np.column_stack((t, 6.0 * size * wave)))
-            hanging = {"start": {"theta": np.pi}}
-            made = nsde_torch.simulate(
-                SYSTEMS[machine], seed=seed + 500 * i, plan=file, options=hanging, **shared
-            )
-        runs.append(replace(made.runs[0], name=f"run_{i}"))
-    return runs
 
+    def __init__(self, name: str) -> None:
+        self.name = name
 
-def flown(
-    machine: str,
-    truth: Json,
-    declared: tuple[str, ...] | None,
-    table: Array,
-    e: Experiment,
-    noise: float,
-    seed: int,
-) -> Run:
-    """A plan flown once by the true machine."""
-    parameters: Json = {k: v for k, v in truth.items() if k == "viscous_friction"}
-    if declared is not None and not parameters:
-        parameters = {"viscous_friction": {"damping": 1e-9}}
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "plan.csv"
-        write_plan(file, tuple(e.given), replace(e, plan=replace(e.plan, table=table)).rows())
-        made = nsde_torch.simulate(
-            SYSTEMS[machine],
-            effects=[{k: v} for k, v in truth.items() if k != "viscous_friction"],
-            parameters=parameters,
-            seed=seed,
-            sensor_noise=noise,
-            dt=DT,
-            plan=file,
-            options={"start": dict(zip(e.system.state_names, e.start.tolist(), strict=True))},
+    def case(self, kind: str, rng: np.random.Generator) -> tuple[Effects, Effects]:
+        size = float(rng.uniform(0.2, 0.6))
+        drag = [size, size, 0.4 * size]
+        angle = float(rng.uniform(0.0, 2.0 * np.pi))
+        way = np.array([np.cos(angle), np.sin(angle)])
+        if kind == "drag":
+            return {"linear_drag": {"drag": drag}}, {"quadratic_drag": {"drag": drag}}
+        if kind == "late":
+            late = float(rng.uniform(0.02, 0.05))
+            return {"motor_lag": {"time_constant": late}}, {"input_delay": {"delay": late}}
+        if kind == "weak":
+            loss = np.zeros(4)
+            loss[rng.integers(4)] = rng.uniform(0.04, 0.12)
+            offset = (float(rng.uniform(0.05, 0.2)) * way).tolist()
+            return {"motor_efficiency_loss": {"loss": loss.tolist()}}, {"com_offset": {"offset": offset}}
+        wind = float(rng.uniform(1.0, 3.0))
+        tilted = {
+            "linear_drag": {"drag": drag},
+            "thrust_misalignment": {"tilt": (size * wind / 9.81 * way).tolist()},
+        }
+        return {"constant_wind": {"drag": drag, "wind": (wind * way).tolist()}}, tilted
+
+    def _flight(self, truth: Effects, rows: Array, seed: int) -> Run:
+        effects = [{k: v} for k, v in truth.items()]
+        return planned(
+            self.name, ("p_x", "p_y", "p_z", "yaw"), rows, seed, effects=effects, declared_only=True
         )
-    raw = made.runs[0]
-    return Run(raw.name, raw.t, raw.x, raw.u)
+
+    def runs(self, truth: Effects, room: float, duration: float, noise: float, seed: int) -> list[Run]:
+        """Two gentle flights through a room, nose forward."""
+        rng = np.random.default_rng([seed, 5])
+        t = point_times(duration)
+        runs = []
+        for i in range(2):
+            points = np.zeros((len(t), 4))
+            for axis, most in enumerate((room, room, 0.5 * room)):
+                f = rng.uniform(0.08, 0.2, 2)[:, None]
+                points[:, axis] = most * np.sin(2 * np.pi * (f * t + rng.uniform(size=(2, 1)))).mean(0)
+            points[:, 2] += 2.0
+            run = self._flight(truth, np.column_stack((t, points)), 1000 * seed + 500 + i)
+            runs.append(replace(run, name=f"run_{i}"))
+        return runs
+
+    def options(self, system: System, runs: Sequence[Run], duration: float, wider: float) -> Json:
+        return {"limits": self.limits, "duration": duration, "proposals": 20, "generations": 4}
+
+    def family(self, e: Experiment, runs: Sequence[Run], duration: float) -> tuple[Family, Any, Array]:
+        drive = partial(flown_paths, system=e.system, dt=e.dt)
+        return Paths(e.limits, e.dt, len(e.plan.table), e.start), drive, max(runs, key=len).x[:, :3]
+
+    def flown(
+        self, truth: Effects, e: Experiment, table: Array, seed: int, noise: float | None = None
+    ) -> Run:
+        return self._flight(truth, replace(e, plan=replace(e.plan, table=table)).rows(), seed)
+
+    def judged(
+        self, e: Experiment, runs: Sequence[Run], question: Question, flown: Mapping[str, Run], right: int
+    ) -> dict[str, Json]:
+        out = {}
+        for name, run in flown.items():
+            fit = fit_all(e.members, [run])[0]
+            told = evidence(e.system, e.members, [fit], runs, [run], question, {}, clock=1.0)
+            quadratic = against(fit.brought, right)
+            out[name] = {
+                "obtained": against(told, right),
+                "obtained_by_quadratics": quadratic,
+                "excess": fit.excess,
+            }
+        return out
 
 
-def one(machine: str, kind: str, seed: int, wider: float) -> Json:
+MACHINES: dict[str, type[Small]] = {"spring": Small, "cart": Small, "quadrotor": Quadrotor}
+
+
+def one(name: str, kind: str, seed: int, wider: float) -> Json:
     """One case, within limits `wider` times what the runs held."""
     began = time.perf_counter()
-    rng = np.random.default_rng([seed, 77])
-    _, both, declared = case(machine, kind, rng)
+    machine = MACHINES[name](name)
+    rng = np.random.default_rng([seed, machine.seed])
+    both = machine.case(kind, rng)
     right = int(rng.integers(2))
     truth = both[right]
-    system: System = system_options(SYSTEMS[machine], declared=declared).make()
+    system = system_options(machine.name, declared=machine.declared).make()
     question = Question(tuple(tuple(system.effect_key(e) for e in m) for m in both))
-    out: Json = {"machine": machine, "kind": kind, "seed": seed, "truth": list(truth), "sizes": truth}
-    for size, duration, noise in LADDER[kind]:
-        raw = runs_there_are(machine, truth, declared, size, duration, noise, seed)
-        runs = [Run(r.name, r.t, r.x, r.u) for r in raw]
+    out: Json = {"machine": name, "kind": kind, "seed": seed, "truth": list(truth), "sizes": truth}
+    for size, duration, noise in machine.ladder:
+        runs = machine.runs(truth, size, duration, noise, seed)
         members = members_of(system, runs, question, {}, clock=1.0)
         there = members[right].nats - members[1 - right].nats
         if abs(there) < SURE:
@@ -208,54 +361,21 @@ def one(machine: str, kind: str, seed: int, wider: float) -> Json:
     }
     if not out["tied"]:
         return out
-    options = DesignOptions(
-        limits=_wider(system, runs, wider),
-        hertz=(0.2, 5.0),
-        samples=3,
-        proposals=120,
-        generations=12,
-        rehearsals=6,
-        seed=seed,
-    )
-    e = design(system, runs, question, options)
-    assert e.hertz is not None
-    family = Signals(e.limits, DT, round(duration / DT), e.hertz)
-    told, plan = oracle(
-        e, right, truth, family, open_loop, budget=ORACLE, before=max(runs, key=len).u, seed=seed
-    )
-    out["designed_s"] = e.seconds
-    out |= {"words": list(e.plan.words), "kind_of_plan": e.plan.name, "wider": wider}
-    tables = {"the plan" if p is e.plan else p.name: p.table for p in (e.plan, *e.baselines)}
-    hoped = {"the plan" if p is e.plan else p.name: p.nats(right) for p in (e.plan, *e.baselines)}
-    if plan is not None:
-        tables["the oracle's"], hoped["the oracle's"] = plan, {"mean": told}
-    out["oracle"] = told
-    measured = {
-        name: flown(machine, truth, declared, table, e, noise, 1000 * seed + i)
-        for i, (name, table) in enumerate(tables.items())
-    }
-    fits = fit_all(e.members, list(measured.values()))
-    plans: Json = {}
-    for i, (name, fit) in enumerate(zip(tables, fits, strict=True)):
-        seen = flown(machine, truth, declared, tables[name], e, 0.0, 1000 * seed + i)
-        plans[name] = {
-            "obtained": against(fit.brought, right),
-            "expected": hoped[name],
-            "use": float(e.limits.use(seen.x).max()),
-            "excess": fit.excess,
-        }
-    out["plans"] = plans
-    out["seconds"] = time.perf_counter() - began
-    return out
-
-
-def _wider(system: System, runs: Any, factor: float) -> Json:
-    """Limits about the middle of what the runs held."""
-    held = limits_of(system, runs, {})
-    names = [*held.inputs, *held.states]
-    low, high = np.append(held.low, held.floor), np.append(held.high, held.ceiling)
-    middle, half = 0.5 * (low + high), 0.5 * factor * (high - low)
-    return {n: [m - h, m + h] for n, m, h in zip(names, middle.tolist(), half.tolist(), strict=True)}
+    how = machine.options(system, runs, duration, wider)
+    e = design(system, runs, question, DesignOptions(samples=3, rehearsals=6, seed=seed, **how))
+    family, drive, before = machine.family(e, runs, duration)
+    told, best = oracle(e, right, truth, family, drive, budget=machine.oracle, before=before, seed=seed)
+    out |= {"designed_s": e.seconds, "words": list(e.plan.words), "kind_of_plan": e.plan.name, "oracle": told}
+    named = {"the plan" if p is e.plan else p.name: p for p in (e.plan, *e.baselines)}
+    tables, hoped = {n: p.table for n, p in named.items()}, {n: p.nats(right) for n, p in named.items()}
+    if best is not None:
+        tables["the oracle's"], hoped["the oracle's"] = best, {"mean": told}
+    flown = {n: machine.flown(truth, e, t, 1000 * seed + i) for i, (n, t) in enumerate(tables.items())}
+    plans = machine.judged(e, runs, question, flown, right)
+    for i, (n, table) in enumerate(tables.items()):
+        seen = machine.flown(truth, e, table, 1000 * seed + i, 0.0)
+        plans[n] |= {"expected": hoped[n], "use": float(np.nanmax(e.limits.use(seen.x)))}
+    return out | {"plans": plans, "seconds": time.perf_counter() - began}
 
 
 def _breakable(row: Json) -> bool:
@@ -302,26 +422,23 @@ def report(folder: Path) -> str:
 
 
 def main() -> None:
-    """Run cases, or sum them up."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--machine", choices=tuple(SYSTEMS), default="spring")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--count", type=int, default=3)
-    parser.add_argument("--out", type=Path, required=True)
+    parser = options(__doc__, "out", seed=1, count=3)
+    parser.add_argument("--machine", choices=MACHINES, default="spring")
+    parser.add_argument(
+        "--kinds", nargs="+", default=None, help="kinds of ties, by default all of the machine"
+    )
     parser.add_argument("--wider", type=float, default=2.0, help="limits over what the runs held")
-    parser.add_argument("--report", action="store_true")
-    args = parser.parse_args()
+    parser.add_argument("--report", action="store_true", help="no cases; the table of what is there")
+    a = parser.parse_args()
     torch.set_num_threads(1)
-    if not args.report:
-        appended(
-            args.out / f"{args.machine}_{args.seed}.jsonl",
-            (
-                partial(one, args.machine, KINDS[i % len(KINDS)], args.seed + i, args.wider)
-                for i in range(args.count)
-            ),
-            lambda found: f"{found['machine']} {found['kind']} {found['seed']}: tied {found['tied']}",
-        )
-    print(report(args.out))
+    a.out.mkdir(parents=True, exist_ok=True)
+    kinds = a.kinds or MACHINES[a.machine].kinds
+    for i in range(0 if a.report else a.count):
+        found = one(a.machine, kinds[i % len(kinds)], a.seed + i, a.wider)
+        with (a.out / f"{a.machine}_{a.seed}.jsonl").open("a", encoding="utf-8") as file:
+            print(json.dumps(found), file=file, flush=True)
+        print(f"{found['machine']} {found['kind']} {found['seed']}: tied {found['tied']}", flush=True)
+    print(report(a.out))
 
 
 if __name__ == "__main__":

@@ -18,69 +18,47 @@ are those of the declared physics and of the law.
 
 from __future__ import annotations
 
-import sys
-import tempfile
-import time
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-import law_machines as machines
 import laws
-from laws import Json
+import numpy as np
+from law_machines import ODD, SYSTEMS, TEXTS, Law
 from peers import Sparse, held_apart
-from study import answers, options
+from study import Json, answers, numbered, options, written
 
-DECLARED = {
-    "mass_spring_damper": {"q", "q_dot", "force"},
-    "cartpole": set(),
-}
-TERMS = {
-    "force = c1 q q_dot": "q q_dot",
-    "force = c1 q^2": "q^2",
-    "force = c1 q^2 q_dot": "q^2 q_dot",
-    "force = c1 q_dot^3": "q_dot^3",
-    "force = c1 q force": "q force",
-    "force = c1 q q_dot^2": "q q_dot^2",
-}
+DECLARED = {"mass_spring_damper": {"q", "q_dot", "force"}, "cartpole": set()}
+TERMS = {t: t.partition(" c1 ")[2] for t in TEXTS["spring"] if "max" not in t and "^5" not in t}
 """Laws that PySINDy's library has as one term."""
 
 
 def case(machine: str, seed: int, i: int) -> Json:
     """Make, diagnose and judge one case."""
-    import torch
-
     import nsde_torch
 
-    torch.set_num_threads(1)
-    system = laws.SYSTEMS[machine]
-    with tempfile.TemporaryDirectory() as folder:
-        law = laws.write(machine, seed, i, Path(folder))
+    system, data = SYSTEMS[machine], None
+
+    def read(folder: Path) -> Law | None:
+        nonlocal data
+        law = laws.write(machine, seed, i, folder)
         data = nsde_torch.read(folder, system=system)
-    started = time.perf_counter()
-    found = nsde_torch.diagnose(data, system=system)
-    seconds = time.perf_counter() - started
-    most, content = found.explanation.ceiling, found.content()
+        return law
+
+    law, found, answer = written(read, system)
+    flexible = found.content()["flexible"]
+    keys = ("why_not", "explained", "explained_90", "left", "left_nats")
     out: Json = {
         "case": i,
         "machine": machine,
         "truth": None if law is None else {"law": law.kind.text, "c1": law.size},
-        "seconds": seconds,
+        **answer,
         "ceiling_seconds": found.seconds["ceiling"],
-        "verdict": content["verdict"],
-        "added": content["added"],
-        "leads": [f["name"] for f in content["findings"] if f["lead"]],
-        "sure": laws.sure(content),
-        "flexible": {
-            k: content["flexible"][k] for k in ("why_not", "explained", "explained_90", "left", "left_nats")
-        },
-        "sentence": content["flexible"]["sentence"],
-        "variables": [v for r in content["flexible"]["rows"] for v in r["variables"]],
+        "flexible": {k: flexible[k] for k in keys},
+        "sentence": flexible["sentence"],
+        "variables": [v for r in flexible["rows"] for v in r["variables"]],
     }
-    if law is None or most.gain is None:
+    if law is None or found.explanation.ceiling.gain is None:
         return out
     out["nats"] = shares(found, law)
     if law.kind.text in TERMS:
@@ -90,7 +68,7 @@ def case(machine: str, seed: int, i: int) -> Json:
     return out
 
 
-def shares(found: Any, law: machines.Law) -> Json:
+def shares(found: Any, law: Law) -> Json:
     """Log likelihood that effects, all, and functions of the true law bring to blocks left out [nats]."""
     import torch
 
@@ -152,39 +130,16 @@ def table(done: list[Json]) -> list[str]:
     return out
 
 
+def line(answer: Json) -> str:
+    keys = ("truth", "added", "leads", "sure", "flexible", "variables", "nats", "sindy_terms", "sindy_right")
+    return f"{answer['case']} { {k: answer[k] for k in (*keys, 'seconds', 'error') if k in answer} }"
+
+
 def main() -> None:
-    """Judges cases one after another, and counts."""
-    parser = options("Functions beside effects, an oracle and PySINDy.", count=12)
-    parser.add_argument(
-        "--machine", choices=["spring", "cart", "joints", "odd_spring", "odd_cart"], required=True
-    )
+    parser = options(__doc__, "seed", "out", first=0, count=12)
+    parser.add_argument("--machine", choices=["spring", "cart", "joints", *ODD], required=True)
     a = parser.parse_args()
-
-    def line(answer: Json) -> str:
-        keys = (
-            "truth",
-            "added",
-            "leads",
-            "sure",
-            "flexible",
-            "variables",
-            "nats",
-            "sindy_terms",
-            "sindy_right",
-            "seconds",
-            "error",
-        )
-        return f"{answer['case']} { {k: answer[k] for k in keys if k in answer} }"
-
-    numbers = range(a.first, a.first + a.count)
-    cases = [
-        (
-            f"{a.machine}_{a.seed}_{i:03d}",
-            partial(case, a.machine, a.seed, i),
-            {"case": i, "machine": a.machine, "truth": None},
-        )
-        for i in numbers
-    ]
+    cases = numbered(a, partial(case, a.machine), a.machine, machine=a.machine, truth=None)
     print("\n".join(table(answers(a.out, cases, line))))
 
 

@@ -17,23 +17,17 @@ log-uniform shares of what moves the machine (see `sizes`). Machines hold nothin
 
 from __future__ import annotations
 
-import argparse
-import os
-import sys
-import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import cycle
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))  # `outside:Cogging` is found by its name
-
 from outside import OUTSIDE
 from sizes import Values, amplitudes, shapes
+from study import missing, options, pooled
 
 from nsde_torch.diagnosis.candidates import why_not
 from nsde_torch.effects import Effect, effect_class, effects_of
@@ -91,27 +85,17 @@ _WEAKER = 4
 
 @dataclass(frozen=True)
 class Case:
-    """One blind case.
+    """One blind case."""
 
-    Args:
-        name: Name of its files; tells nothing.
-        system: The machine.
-        kind: One of `KINDS`.
-        effects: What it holds, `name` or `module:Class` -> parameters.
-        recording: Faults of the recording chain, keys of `Recording`.
-        noise: One of `NOISE`.
-        seed: Seed of its data.
-        shares: Share of what moves the machine, by effect; none where a time or a level is its size.
-    """
-
-    name: str
+    name: str  # of its files; tells nothing
     system: str
-    kind: str
-    effects: dict[str, Values]
-    recording: dict[str, Any]
-    noise: str
+    kind: str  # one of `KINDS`
+    effects: dict[str, Values]  # what it holds, `name` or `module:Class` -> parameters
+    recording: dict[str, Any]  # faults of the recording chain, keys of `Recording`
+    noise: str  # one of `NOISE`
     seed: int
     shares: dict[str, float] = field(default_factory=dict)
+    """Share of what moves the machine, by effect; none where a time or a level is its size."""
 
 
 def holdable(system: str) -> list[str]:
@@ -128,14 +112,7 @@ def _tied(a: str, b: str) -> bool:
 
 
 def cases(seed: int, n: int, *, systems: Sequence[str] = SYSTEMS, kinds: Sequence[str] = KINDS) -> list[Case]:
-    """Blind cases; the first of a longer list are those of a shorter one.
-
-    Args:
-        seed: Seed of everything.
-        n: How many.
-        systems: Machines to take in turn.
-        kinds: Kinds to take.
-    """
+    """Blind cases; the first of a longer list are those of a shorter one."""
     order = np.random.default_rng([seed, 0])
     turns: dict[tuple[str, str], Iterator[Any]] = {}
     for system in systems:
@@ -225,13 +202,8 @@ def _fault(name: str, system: str, rng: np.random.Generator) -> dict[str, Any]:
 def write(case: Case, folder: str | Path) -> Path:
     """Write the data of a case to `folder/data/NAME` and its truth to `folder/truth/NAME.json`.
 
-    Effects that the machine cannot survive are made half as strong, a few times; the truth has what was held.
-
-    Returns:
-        The folder of the data.
-
-    Raises:
-        NsdeError: the machine does not survive the weakest.
+    Effects that the machine cannot survive are made half as strong, a few times (NsdeError: it does not survive the
+    weakest); the truth has what was held. Returns the folder of the data.
     """
     factor = NOISE[case.noise]
     options = {"variants": 8, "rounds": 1} if case.system == "hexacopter" else {}
@@ -275,42 +247,22 @@ def _halved(case: Case) -> Case:
     return replace(case, effects=effects, shares={k: 0.5 * v for k, v in case.shares.items()})
 
 
-def _job(case: Case, folder: str) -> tuple[str, str]:
-    import torch
-
-    torch.set_num_threads(1)
+def _job(case: Case, folder: Path) -> str:
     try:
         write(case, folder)
     except NsdeError as error:
-        return case.name, str(error)
-    return case.name, ""
+        return f"not made: {error}"
+    return "written"
 
 
 def main() -> None:
-    """Write the cases that are not there yet."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--seed", type=int, required=True, help="seed of the cases")
-    parser.add_argument("--count", type=int, default=300, help="number of cases")
-    parser.add_argument("--out", type=Path, required=True, help="folder to write into")
+    parser = options(__doc__, "seed", "out", count=300, jobs=1)
     parser.add_argument("--systems", nargs="+", default=list(SYSTEMS), choices=SYSTEMS, help="machines")
     parser.add_argument("--kinds", nargs="+", default=list(KINDS), choices=KINDS, help="kinds of cases")
-    parser.add_argument("--jobs", type=int, default=1, help="processes at a time")
     given = parser.parse_args()
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
-    todo = [
-        case
-        for case in cases(given.seed, given.count, systems=given.systems, kinds=given.kinds)
-        if not (given.out / "truth" / f"{case.name}.json").is_file()
-    ]
-    started = time.perf_counter()
-    with ProcessPoolExecutor(given.jobs) as pool:
-        jobs = [pool.submit(_job, case, str(given.out)) for case in todo]
-        for k, job in enumerate(as_completed(jobs), start=1):
-            name, reason = job.result()
-            spent = time.perf_counter() - started
-            left = spent / k * (len(todo) - k)
-            words = f"not made: {reason}" if reason else "written"
-            print(f"{name} {words} ({k} of {len(todo)}, {spent:.0f} s, about {left:.0f} s left)", flush=True)
+    every = {c.name: c for c in cases(given.seed, given.count, systems=given.systems, kinds=given.kinds)}
+    todo = missing(given.out, "truth", every)
+    pooled(given.jobs, {name: partial(_job, every[name], given.out) for name in todo})
 
 
 if __name__ == "__main__":

@@ -11,16 +11,16 @@ interval and its true value.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import loop_flight
 import numpy as np
 from closed_loop import _machine
 from loop_flight import PATHS, Flight, fly
 from loop_machine import STEP, Array, Bodies, G, Machine
+from small_machines import step
+from study import options
 
 import nsde_torch
 from nsde_torch.data.raw import RawRun
@@ -55,27 +55,23 @@ def spring(seed: int) -> tuple[str, list[RawRun], dict[str, float]]:
     sensors = np.exp(rng.uniform(np.log([0.0003, 0.002]), np.log([0.002, 0.01])))
     w, fine = 2.0 * np.pi * hidden.hertz, round(dt / STEP)
 
-    def rates(x: Array, u: Array) -> Array:
+    def rates(x: Any, u: Array) -> list[Array]:
         pull = w * w * (x[2] - x[0]) + 2.0 * hidden.damping * w * (x[3] - x[1])
         own = gain * u - stiffness * x[0] - damping * x[1] + hidden.mass * pull
-        return np.stack([x[1], own, x[3], -pull])
+        return [x[1], own, x[3], -pull]
 
     begun = round(6.0 / dt) if seed % 3 == 1 else 0  # rows that are not logged
     n, runs = begun + round(RUN_S / dt), 3
     hertz, phase = rng.uniform(0.1, 2.5, (runs, 6)), rng.uniform(0.0, 2.0 * np.pi, (runs, 6))
-    x, seen, inputs = np.zeros((4, runs)), np.empty((n, runs, 2)), np.empty((n, runs))
+    x, seen, inputs = list(np.zeros((4, runs))), np.empty((n, runs, 2)), np.empty((n, runs))
     for k in range(n):
-        seen[k] = x[:2].T + sensors * rng.standard_normal((runs, 2))
+        seen[k] = np.transpose(x[:2]) + sensors * rng.standard_normal((runs, 2))
         u = 0.5 * np.sin(2.0 * np.pi * hertz * k * dt + phase).sum(1)
         if loop:
             u = u - 1.5 * seen[k, :, 0] - 0.4 * seen[k, :, 1]
         inputs[k] = u
         for _ in range(fine):
-            k1 = rates(x, u)
-            k2 = rates(x + 0.5 * STEP * k1, u)
-            k3 = rates(x + 0.5 * STEP * k2, u)
-            k4 = rates(x + STEP * k3, u)
-            x = x + (STEP / 6.0) * (k1 + 2.0 * (k2 + k3) + k4)
+            x = step(lambda x, u=u: rates(x, u), x, STEP)
     t = dt * np.arange(n)
     out = [RawRun(f"run_{r}", t + r * (RUN_S + PAUSE_S), seen[:, r], inputs[:, r, None]) for r in range(runs)]
     sizes = {"mass": hidden.mass, "frequency": hidden.hertz, "damping": hidden.damping}
@@ -87,8 +83,8 @@ class Loaded(Bodies):
 
     mass, length, damping = 0.1, 1.0, 0.05
 
-    def __init__(self, machines: list[Machine], t0: Array, noise: Any = None, step: float = STEP) -> None:
-        super().__init__(machines, t0, noise, step)
+    def __init__(self, machines: list[Machine], *how: Any) -> None:
+        super().__init__(machines, *how)
         self.way, self.turn = np.tile([0.0, 0.0, -1.0], (len(machines), 1)), np.zeros((len(machines), 3))
 
     def gust(self) -> Array:
@@ -123,8 +119,8 @@ def load(seed: int) -> tuple[str, list[RawRun], dict[str, float]]:
         Flight(machine, path, "a", 40.0, 60.0 * k, own + k, 1.0, vigour, known)
         for k, path in enumerate(paths)
     ]
-    loop_flight.Bodies = Bodies if none else Loaded
-    runs = [RawRun(f"run_{k}", run.t, run.x, run.u) for k, run in enumerate(fly(flights))]
+    flown = fly(flights, Bodies if none else Loaded)
+    runs = [RawRun(f"run_{k}", run.t, run.x, run.u) for k, run in enumerate(flown)]
     sizes = {"mass": Loaded.mass, "length": Loaded.length, "damping": Loaded.damping}
     return f"slung_load@{machine.system}", runs, {} if none else sizes
 
@@ -147,11 +143,8 @@ def judged(name: str, found: Mapping[str, Any], true: Mapping[str, float]) -> tu
 
 
 def main() -> None:
-    """Diagnose some cases, and count."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = options(__doc__, first=0, count=12)
     parser.add_argument("kind", choices=("springs", "loads"))
-    parser.add_argument("--first", type=int, default=0, help="number of the first case")
-    parser.add_argument("--count", type=int, default=12, help="how many cases")
     chosen = parser.parse_args()
     alone, holds = 0, list[bool]()
     for seed in range(chosen.first, chosen.first + chosen.count):

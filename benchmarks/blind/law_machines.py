@@ -1,24 +1,160 @@
 """Machines with a law that no catalogue has: simulators of their own, in NumPy, that share no code with `nsde_torch`.
 
 Springs and carts are those of `small_machines`, multirotors those of `loop_machine`, with a further force that is any
-function of the true state; two joints are those of `examples/double_pendulum`. The size of a law is drawn as a share
-of what moves the machine anyway.
+function of the true state; two joints are those of `examples/double_pendulum`. States of multirotors are here velocity
+and rates along the body's axes, and the place. The size of a law is drawn as a share of what moves the machine anyway.
 """
 
 from __future__ import annotations
 
+import re
 import sys
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import loop_flight
 import numpy as np
 import small_machines
-from law_kinds import Array, Kind
 from loop_machine import Bodies, Machine, rotation
+from study import STATES, Array
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "examples" / "double_pendulum"))
 import make_data
+
+Term = Callable[[Array, Array, float], Array]
+"""A term of unit size of states (n, nx), inputs (n, nu) and its shape, (n,)."""
+SYSTEMS = {
+    **{"spring": "mass_spring_damper", "cart": "cartpole", "joints": "double_pendulum:DoublePendulum"},
+    **{"odd_spring": "mass_spring_damper", "odd_cart": "cartpole"},
+    **{"hexacopter": "hexacopter", "quadrotor": "quadrotor"},
+}
+VARIABLES = {
+    **STATES,
+    "double_pendulum:DoublePendulum": ("q1", "q2", "q1_dot", "q2_dot"),
+    **dict.fromkeys(
+        ("hexacopter", "quadrotor"),
+        ("v_body_x", "v_body_y", "v_body_z", "w_x", "w_y", "w_z", "p_x", "p_y", "p_z"),
+    ),
+}
+ROWS = {
+    **{"force": 0, "torque": 1, "torque[q1]": 0, "torque[q2]": 1},
+    **{f"body_force[{axis}]": i for i, axis in enumerate("xyz")},
+    **{f"body_moment[{axis}]": 3 + i for i, axis in enumerate("xyz")},
+}
+"""Which of the machine's forces a law adds to."""
+_MULTIROTOR = (
+    "body_moment[y] = c1 v_body_x w_z",
+    "body_force[z] = c1 v_body_x^2",
+    "body_moment[z] = c1 v_body_x v_body_y",
+    "body_force[y] = c1 v_body_x w_z",
+    "body_moment[x] = c1 abs(v_body_y) v_body_y",
+)
+TEXTS = {
+    "spring": (
+        "force = c1 q q_dot",
+        "force = c1 q^2",
+        "force = c1 max(q - k1, 0)",
+        "force = c1 q^5",
+        "force = c1 q^2 q_dot",
+        "force = c1 q_dot^3",
+        "force = c1 q force",
+        "force = c1 max(q_dot, 0)^2",
+        "force = c1 q q_dot^2",
+    ),
+    "cart": (
+        "force = c1 x_dot theta_dot",
+        "torque = c1 x_dot theta_dot",
+        "force = c1 x^2 x_dot",
+        "torque = c1 sin(theta) x_dot",
+        "force = c1 max(x - k1, 0)",
+        "force = c1 sin(theta)",
+        "torque = c1 x",
+    ),
+    "joints": (
+        "torque[q1] = c1 q2_dot",
+        "torque[q2] = c1 q1_dot q2_dot",
+        "torque[q1] = c1 sin(q2)",
+        "torque[q2] = c1 q1^2",
+        "torque[q1] = c1 q1_dot q2_dot",
+        "torque[q1] = c1 max(q1 - k1, 0)",
+        "torque[q2] = c1 max(q2 - k1, 0)",
+        "torque[q2] = c1 q2^2 q2_dot",
+        "torque[q1] = c1 sin(q2) q1_dot",
+        "torque[q2] = c1 q1 q2_dot",
+        "torque[q2] = c1 abs(q1_dot) q1_dot",
+        "torque[q1] = c1 q1^2 q1_dot",
+    ),
+    "hexacopter": _MULTIROTOR,
+    "quadrotor": (
+        *_MULTIROTOR,
+        "body_force[x] = c1 v_body_x v_body_z",
+        "body_force[z] = c1 abs(v_body_z) v_body_z",
+        "body_moment[y] = c1 v_body_x v_body_z",
+        "body_force[x] = c1 max(v_body_x, 0)^2",
+        "body_force[z] = c1 p_x^2",
+        "body_moment[z] = c1 v_body_y w_x",
+    ),
+}
+"""Laws in the grammar of the package, to judge by; they are worked out here by NumPy."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One kind of law."""
+
+    system: str  # name of the machine
+    text: str  # the law in the grammar of the package
+    row: int  # which of the machine's forces it adds to
+    term: Term  # its term, of unit size
+    shape: float | None = None  # quantile of a variable that its shape k1 is, or None
+    along: int = 0  # which state that variable is
+
+
+def _term(text: str, system: str) -> Term:
+    """The term of a law: powers, products of what stands side by side, and functions of NumPy."""
+    product = re.sub(r"(?<![-,]) (?![-,0k])", " * ", text.partition(" = c1 ")[2]).replace("^", "**")
+    code = compile(product, text, "eval")
+    functions = {"sin": np.sin, "abs": np.abs, "max": np.maximum}
+
+    def term(x: Array, u: Array, k: float) -> Array:
+        known = {**functions, **dict(zip(VARIABLES[system], x.T, strict=False)), "force": u[:, 0], "k1": k}
+        return np.asarray(eval(code, {}, known))
+
+    return term
+
+
+def _kind(text: str, system: str) -> Kind:
+    hinge = re.search(r"(\w+) - k1", text)
+    shape = (0.8, VARIABLES[system].index(hinge[1])) if hinge else (None, 0)
+    return Kind(system, text, ROWS[text.partition(" = ")[0]], _term(text, system), *shape)
+
+
+def _near(v: Array, centre: float) -> Array:
+    return np.exp(-(((v - centre) / 0.5) ** 2))
+
+
+def _in_plane(x: Array) -> Array:
+    return np.asarray(1.5 * x[:, 0] + 0.8 * x[:, 1])
+
+
+ODD: dict[str, tuple[tuple[str, int, Term], ...]] = {
+    "odd_spring": (
+        ("a damping in one place", 0, lambda x, u, k: _near(x[:, 0], 0.3) * x[:, 1]),
+        ("a wave in the plane", 0, lambda x, u, k: np.sin(_in_plane(x)) * np.cos(x[:, 1])),
+        ("a ridge", 0, lambda x, u, k: np.tanh(2.0 * _in_plane(x)) ** 2 * np.tanh(2.0 * x[:, 0])),
+        ("a gain in one place", 0, lambda x, u, k: _near(x[:, 0], -0.4) * u[:, 0]),
+    ),
+    "odd_cart": (
+        ("a damping in one place", 0, lambda x, u, k: _near(x[:, 0], 0.3) * x[:, 1]),
+        ("a wave of place and speed", 0, lambda x, u, k: np.sin(2.0 * x[:, 0]) * np.cos(x[:, 1])),
+        ("a torque in one place", 1, lambda x, u, k: _near(x[:, 0], -0.2) * np.sin(x[:, 2])),
+    ),
+}
+"""Laws that the grammar of the package cannot write with few terms."""
+KINDS = {name: [_kind(text, SYSTEMS[name]) for text in texts] for name, texts in TEXTS.items()}
+KINDS |= {name: [Kind(SYSTEMS[name], *law) for law in odd] for name, odd in ODD.items()}
 
 
 @dataclass(frozen=True)
@@ -36,44 +172,32 @@ class Law:
 
 def small_runs(
     system: str, law: Law | None, rng: np.random.Generator, seed: int, runs: int, seconds: float
-) -> tuple[list[tuple[Array, Array, Array]], small_machines.Small]:
+) -> list[tuple[Array, Array, Array]]:
     """Runs of a spring or a cart with a law: times, measured states and forces."""
     machine = small_machines.small(system, rng, False)
-    return [_small_run(machine, law, seconds, seed + r) for r in range(runs)], machine
+    share = machine.values.get("s", 0.0)
 
+    def acts(y: Sequence[float], u: float) -> tuple[float, float]:
+        more = float(law(np.array([y]), np.array([[u]]))[0])
+        if law.kind.row == 0:
+            return more, 0.0
+        return 0.0, 4.0 / 3.0 * more / (4 / 3 - share * np.cos(y[2]) ** 2)
 
-def _small_run(
-    machine: small_machines.Small, law: Law | None, seconds: float, seed: int
-) -> tuple[Array, Array, Array]:
-    plain, geometry = small_machines._rate, machine.values
-
-    def rate(own: small_machines.Small, y: Array, u: float, white: Array) -> Array:
-        if law is None:
-            return plain(own, y, u, white)
-        more = float(law(y[None], np.array([[u]]))[0])
-        if own.system == "mass_spring_damper" or law.kind.row == 0:
-            return plain(own, y, u, white + np.array([more, 0.0]))
-        inertia = 4 / 3 - geometry["s"] * np.cos(y[2]) ** 2
-        return plain(own, y, u, white + np.array([0.0, 4.0 / 3.0 * more / inertia]))
-
-    small_machines._rate = rate
-    try:
-        return small_machines.run(machine, seconds, 0.01 if machine.system != "cartpole" else 0.02, seed)
-    finally:
-        small_machines._rate = plain
+    machine = machine if law is None else replace(machine, law=acts)
+    dt = 0.02 if system == "cartpole" else 0.01
+    return [small_machines.run(machine, seconds, dt, seed + r) for r in range(runs)]
 
 
 class LawBodies(Bodies):
     """A batch of multirotors, each with the law that its machine's `effects` hold under `law`."""
 
-    def __init__(self, machines: list[Machine], t0: Array, noise: object = None, step: float = 0.001) -> None:
-        super().__init__(machines, t0, noise, step)
+    def __init__(self, machines: list[Machine], *how: Any) -> None:
+        super().__init__(machines, *how)
         self.laws = [m.effects.get("law", {}).get("of") for m in machines]
 
     def rates(
         self, p: Array, v: Array, q: Array, w: Array, m: Array, t: Array, push: Array
     ) -> tuple[Array, Array, Array, Array]:
-        """See `Bodies.rates`."""
         r = rotation(q)
         seen = np.concatenate([np.einsum("bji,bj->bi", r, v), w, p], 1)
         pushed = push.copy()
@@ -93,15 +217,13 @@ def flights(
 ) -> list[loop_flight.Logged]:
     """Flights of a machine whose `effects` may hold a law, one for each path."""
     rng = np.random.default_rng([seed, 9])
-    asked = [
-        loop_flight.Flight(machine, path, "a", seconds, 0.0, int(rng.integers(2**31)), noise, 1.2)
-        for path in paths
-    ]
-    plain, loop_flight.Bodies = loop_flight.Bodies, LawBodies
-    try:
-        return loop_flight.fly(asked)
-    finally:
-        loop_flight.Bodies = plain
+    return loop_flight.fly(
+        [
+            loop_flight.Flight(machine, path, "a", seconds, 0.0, int(rng.integers(2**31)), noise, 1.2)
+            for path in paths
+        ],
+        LawBodies,
+    )
 
 
 def joint_push(law: Law | None) -> make_data.Push:

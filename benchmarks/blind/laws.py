@@ -11,61 +11,30 @@ of a tie, where a diagnosis says that it found an effect.
 
 from __future__ import annotations
 
-import sys
-import tempfile
-import time
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
 import closed_loop
-import law_kinds as kinds
 import law_machines as machines
-from study import answers, options, save
+import numpy as np
+from law_machines import KINDS, ODD, SYSTEMS, Kind, Law, make_data
+from study import STATES, Array, Json, answers, diagnosed, numbered, options, save, written
 
-KINDS = {
-    "spring": kinds.SPRING,
-    "cart": kinds.CART,
-    "joints": kinds.JOINTS,
-    "hexacopter": kinds.HEXACOPTER,
-    "quadrotor": kinds.QUADROTOR,
-    "odd_spring": kinds.ODD_SPRING,
-    "odd_cart": kinds.ODD_CART,
-}
-SYSTEMS = {
-    "odd_spring": "mass_spring_damper",
-    "odd_cart": "cartpole",
-    "spring": "mass_spring_damper",
-    "cart": "cartpole",
-    "joints": "double_pendulum:DoublePendulum",
-    "hexacopter": "hexacopter",
-    "quadrotor": "quadrotor",
-}
 PATHS = {
     "hexacopter": ("waypoints", "circle", "sines", "waypoints"),
     "quadrotor": ("sticks", "sines", "sticks", "waypoints"),
 }
 """What multirotors fly; by sticks a pilot's tilts, which a weak hold answers."""
-COLUMNS = {
-    "spring": ("t", "q", "q_dot", "force"),
-    "cart": ("t", "x", "x_dot", "theta", "theta_dot", "force"),
-}
-ODD = "odd_"
-"""What machines begin with whose laws cannot be written (`flexible_cases`)."""
 EVERY_NULL = 4
 NULLS_ONLY = 100_000
 """Seeds from which all cases are nulls."""
 ALIKE = 0.999
 NEAR = 1.1
 """Ratio of errors to those of the oracle up to which the law is as good as told."""
-Json = dict[str, Any]
-Array = np.ndarray
 
 
-def drawn(machine: str, seed: int, i: int) -> tuple[np.random.Generator, kinds.Kind | None]:
+def drawn(machine: str, seed: int, i: int) -> tuple[np.random.Generator, Kind | None]:
     """Random numbers and kind of a case; None of a null."""
     order = np.random.default_rng([seed, 77]).permutation(len(KINDS[machine]))
     turn = i - i // EVERY_NULL
@@ -74,7 +43,7 @@ def drawn(machine: str, seed: int, i: int) -> tuple[np.random.Generator, kinds.K
     return np.random.default_rng([seed, i]), kind
 
 
-def write(machine: str, seed: int, i: int, folder: Path, weaker: float = 1.0) -> machines.Law | None:
+def write(machine: str, seed: int, i: int, folder: Path, weaker: float = 1.0) -> Law | None:
     """Write the runs of a case; returns its law, so many times weaker."""
     rng, kind = drawn(machine, seed, i)
     share, sign = float(np.exp(rng.uniform(np.log(0.05), np.log(0.25)))), float(rng.choice((-1.0, 1.0)))
@@ -85,20 +54,20 @@ def write(machine: str, seed: int, i: int, folder: Path, weaker: float = 1.0) ->
     if machine == "joints":
         return _joints(kind, share * sign, rng, own, folder)
     state = rng.bit_generator.state
-    plain, _ = machines.small_runs(SYSTEMS[machine], None, rng, own, runs, seconds)
+    plain = machines.small_runs(SYSTEMS[machine], None, rng, own, runs, seconds)
     law = _sized(kind, share * sign, [(x, u) for _, x, u in plain], _force(plain))
     for _ in range(6):
         rng.bit_generator.state = state
         with np.errstate(all="ignore"):
-            made, _ = machines.small_runs(SYSTEMS[machine], law, rng, own, runs, seconds)
+            made = machines.small_runs(SYSTEMS[machine], law, rng, own, runs, seconds)
         x = np.concatenate([part for _, part, _ in made])
         still = np.concatenate([part for _, part, _ in plain])
         if np.isfinite(x).all() and bool((np.abs(x[:, :2]).max(0) < 2.0 * np.abs(still[:, :2]).max(0)).all()):
             break
         assert law is not None  # it drove the machine off: of the other sign, and smaller
-        law = machines.Law(law.kind, -0.7 * law.size, law.shape)
+        law = Law(law.kind, -0.7 * law.size, law.shape)
     for r, (t, x, u) in enumerate(made):
-        save(folder / f"run_{r}.csv", COLUMNS[machine.removeprefix(ODD)], [t, x, u])
+        save(folder / f"run_{r}.csv", ("t", *STATES[SYSTEMS[machine]], "force"), [t, x, u])
     return law
 
 
@@ -108,9 +77,7 @@ def _force(runs: list[tuple[Array, Array, Array]]) -> float:
     return float(np.sqrt(np.mean(np.square(np.concatenate(rates)))))
 
 
-def _sized(
-    kind: kinds.Kind | None, share: float, runs: list[tuple[Array, Array]], force: float
-) -> machines.Law | None:
+def _sized(kind: Kind | None, share: float, runs: list[tuple[Array, Array]], force: float) -> Law | None:
     """A law whose root mean square is a share of a force, on runs without it."""
     if kind is None:
         return None
@@ -119,13 +86,10 @@ def _sized(
     size = float(np.sqrt(np.mean(np.square(kind.term(x, u, shape)))))
     # a stop pushes back
     share = -abs(share) * 3.0 if kind.shape is not None else share
-    return machines.Law(kind, share * force / max(size, 1e-9), shape)
+    return Law(kind, share * force / max(size, 1e-9), shape)
 
 
-def _joints(
-    kind: kinds.Kind | None, share: float, rng: np.random.Generator, seed: int, folder: Path
-) -> machines.Law | None:
-    make_data = machines.make_data
+def _joints(kind: Kind | None, share: float, rng: np.random.Generator, seed: int, folder: Path) -> Law | None:
     scale = np.exp(rng.uniform(np.log(0.7), np.log(1.4), 2))
     make_data.MASS_1, make_data.MASS_2 = 1.0 * scale[0], 0.6 * scale[1]
     torque = make_data.TORQUE[0 if kind is None else kind.row]
@@ -136,16 +100,15 @@ def _joints(
         for _ in range(12):
             if law is None or _stays(law, seed % 100000):
                 break
-            law = machines.Law(law.kind, -0.8 * law.size, law.shape)  # it drives the machine off
+            law = Law(law.kind, -0.8 * law.size, law.shape)  # it drives the machine off
         make_data.write(
             folder, machines.joint_push(law), seed=seed % 100000, runs=4, seconds=12.0, noise=noise
         )
     return law
 
 
-def _stays(law: machines.Law, seed: int) -> bool:
+def _stays(law: Law, seed: int) -> bool:
     """Whether two joints stay within bounds under half of their torques, in the runs of a seed."""
-    make_data = machines.make_data
     rng = np.random.default_rng(seed)
     for own in [int(rng.integers(2**31)) for _ in range(4)]:
         x = make_data.simulate(1200, np.random.default_rng(own), machines.joint_push(law), 0.0, 0.5)
@@ -155,91 +118,53 @@ def _stays(law: machines.Law, seed: int) -> bool:
 
 
 def _multirotor(
-    machine: str, kind: kinds.Kind | None, share: float, rng: np.random.Generator, seed: int, folder: Path
-) -> machines.Law | None:
+    machine: str, kind: Kind | None, share: float, rng: np.random.Generator, seed: int, folder: Path
+) -> Law | None:
     made = closed_loop._machine(machine, rng)
     law = None
     if kind is not None:
-        seen = np.random.default_rng(seed).normal(size=(4000, 9)) * (
-            1.0,
-            1.0,
-            0.4,
-            0.4,
-            0.4,
-            0.5,
-            1.0,
-            1.0,
-            0.4,
-        )
+        spread = np.array([1.0, 1.0, 0.4, 0.4, 0.4, 0.5, 1.0, 1.0, 0.4])
+        seen = np.random.default_rng(seed).normal(size=(4000, 9)) * spread
         law = _sized(kind, share, [(seen, np.zeros((4000, 6)))], 2.0 if kind.row < 3 else 4.0)
         made = machines.Machine(**{**vars(made), "effects": {"law": {"of": law}}})
-    names = (
-        *("t", "p_x", "p_y", "p_z", "v_x", "v_y", "v_z", "q_w", "q_x", "q_y", "q_z", "w_x", "w_y", "w_z"),
-        *(f"u_{k + 1}" for k in range(closed_loop.SIGNS[machine].shape[1])),
-    )
     for r, log in enumerate(machines.flights(made, seed, 25.0, PATHS[machine])):
+        names = ("t", *STATES["multirotor"], *(f"u_{k + 1}" for k in range(log.u.shape[1])))
         save(folder / f"flight_{r}.csv", names, [log.t, log.x, log.u])
     return law
 
 
-def case(machine: str, seed: int, i: int, weaker: float = 1.0) -> Json:
+def case(machine: str, weaker: float, seed: int, i: int) -> Json:
     """Make, diagnose and judge one case."""
-    import torch
-
     import nsde_torch
 
-    torch.set_num_threads(1)
-    system = SYSTEMS[machine]
-    with tempfile.TemporaryDirectory() as folder:
-        law = write(machine, seed, i, Path(folder), weaker)
+    system, data = SYSTEMS[machine], None
+
+    def read(folder: Path) -> Law | None:
+        nonlocal data
+        law = write(machine, seed, i, folder, weaker)
         data = nsde_torch.read(folder, system=system)
-        started = time.perf_counter()
-        found = nsde_torch.diagnose(data, system=system)
-        seconds = time.perf_counter() - started
-        oracle = found
-        if law is not None:
-            start = {"c1": law.size, **({"k1": law.shape} if law.kind.shape is not None else {})}
-            oracle = nsde_torch.diagnose(data, system=system, effects={law.kind.text: start}, max_effects=0)
-    content = found.content()
-    out: Json = {
-        "case": i,
-        "machine": machine,
-        "truth": None if law is None else {"law": law.kind.text, "c1": law.size, "k1": law.shape},
-        "seconds": seconds,
-        "verdict": content["verdict"],
-        "added": content["added"],
-        "leads": [f["name"] for f in content["findings"] if f["lead"]],
-        "ties": content["ties"],
-        "parameters": {k: [v["value"], v["interval_90"]] for k, v in content["parameters"].items()},
-    }
-    out["laws"] = [name for name in content["added"] if "=" in name]
-    out["sure"] = sure(content)
+        return law
+
+    law, found, answer = written(read, system)
+    truth = None if law is None else {"law": law.kind.text, "c1": law.size, "k1": law.shape}
+    out: Json = {"case": i, "machine": machine, "truth": truth, **answer}
+    out["laws"] = [name for name in answer["added"] if "=" in name]
     if law is None:
-        out |= {"named": not out["added"], "false_law": bool(out["laws"]), "surely_wrong": out["sure"]}
-        return out
-    channel = max(content["residual"], key=lambda c: _change(oracle.content()["residual"][c], content, c))
-    told = oracle.content()["errors"]
+        return out | {"named": not out["added"], "false_law": bool(out["laws"]), "surely_wrong": out["sure"]}
+    start = {"c1": law.size, **({"k1": law.shape} if law.kind.shape is not None else {})}
+    oracle = diagnosed(data, system, effects={law.kind.text: start}, max_effects=0)[0].content()
+    content = found.content()
     same = [name for name in out["laws"] if _same(found, name, law)]
-    out |= {
-        "moves": _ratio(content["errors"], told, "before"),
-        "beside_oracle": _ratio(content["errors"], told, "after"),
-        "channel": channel,
+    return out | {
+        "moves": _ratio(content["errors"], oracle["errors"], "before"),
+        "beside_oracle": _ratio(content["errors"], oracle["errors"], "after"),
+        "channel": max(content["residual"], key=lambda c: _change(oracle["residual"][c], content, c)),
         "there": bool(same),
         "named": len(same) == 1 and len(out["added"]) == 1,
         "false_law": any(name not in same for name in out["laws"]),
         "surely_wrong": [name for name in out["sure"] if name not in same],
         "held": None if not same else _held(found, same[0], law, out["parameters"]),
     }
-    return out
-
-
-def sure(content: Json) -> list[str]:
-    """Effects that a diagnosis is sure of: no leads, no members of a tie, and nothing where most is unexplained."""
-    if content["verdict"] != "effect_found":
-        return []
-    tied = {name for tie in content["ties"] or () for name in tie["effects"]}
-    leads = {f["name"] for f in content["findings"] if f["lead"]}
-    return [name for name in content["added"] if name not in leads | tied]
 
 
 def _change(told: Json, content: Json, channel: str) -> float:
@@ -272,7 +197,7 @@ def _values(found: Any, name: str) -> Array:
         return np.asarray(effect(0.0, x, seen, x[:, :0]).sum(1).numpy())
 
 
-def _true(found: Any, law: machines.Law) -> Array:
+def _true(found: Any, law: Law) -> Array:
     """What the true law adds at the logged states (n,)."""
     runs = found.recorded.runs
     x, u = (np.concatenate([getattr(run, k) for run in runs]) for k in ("x", "u"))
@@ -282,7 +207,7 @@ def _true(found: Any, law: machines.Law) -> Array:
     return law(x, u)
 
 
-def _same(found: Any, name: str, law: machines.Law) -> bool:
+def _same(found: Any, name: str, law: Law) -> bool:
     """Whether a law that was found is the same function in the same row."""
     if name.partition(" = ")[0] != law.kind.text.partition(" = ")[0]:
         return False
@@ -290,16 +215,17 @@ def _same(found: Any, name: str, law: machines.Law) -> bool:
     return bool(abs(mine @ true) / np.sqrt((mine @ mine) * (true @ true)) > ALIKE)
 
 
-def _held(found: Any, name: str, law: machines.Law, parameters: Json) -> bool | None:
+def _held(found: Any, name: str, law: Law, parameters: Json) -> bool | None:
     """Whether the size of the law lies in its interval, in the spelling that was found."""
-    value, interval = parameters[f"{name}.c1"]
-    if interval is None:
+    said = parameters[f"{name}.c1"]
+    if said["interval_90"] is None:
         return None
     mine, true = _values(found, name), _true(found, law)
-    size = value * float(mine @ true) / float(mine @ mine)
+    size = said["value"] * float(mine @ true) / float(mine @ mine)
     if law.kind.shape is not None and f"{name}.k1" in parameters:
         size = law.size
-    return bool(interval[0] <= size <= interval[1])
+    low, high = said["interval_90"]
+    return bool(low <= size <= high)
 
 
 def table(done: list[Json]) -> list[str]:
@@ -324,37 +250,20 @@ def table(done: list[Json]) -> list[str]:
     return out
 
 
+def line(answer: Json) -> str:
+    keys = ("named", "leads", "surely_wrong", "held", "moves", "beside_oracle", "seconds", "error")
+    return f"{answer['case']} {answer['truth']} -> {answer['added']} { {k: answer.get(k) for k in keys} }"
+
+
 def main() -> None:
-    """Diagnoses cases one after another, and counts."""
-    parser = options("Blind cases with laws that no catalogue has.", count=12)
-    parser.add_argument("--machine", choices=[m for m in KINDS if not m.startswith(ODD)], required=True)
+    parser = options(__doc__, "seed", "out", first=0, count=12)
+    parser.add_argument("--machine", choices=[m for m in KINDS if m not in ODD], required=True)
     parser.add_argument("--weaker", type=float, default=1.0, help="how many times weaker laws are made")
     a = parser.parse_args()
-
-    def wrong(i: int) -> Json:
-        kind = drawn(a.machine, a.seed, i)[1]
-        truth = None if kind is None else {"law": kind.text}
-        return {"case": i, "machine": a.machine, "truth": truth, "added": [], "laws": []}
-
-    def line(answer: Json) -> str:
-        keys = (
-            "named",
-            "leads",
-            "surely_wrong",
-            "held",
-            "moves",
-            "beside_oracle",
-            "seconds",
-            "error",
-            "lead",
-        )
-        return f"{answer['case']} {answer['truth']} -> {answer['added']} { {k: answer.get(k) for k in keys} }"
-
-    numbers = range(a.first, a.first + a.count)
-    cases = [
-        (f"{a.machine}_{a.seed}_{i:03d}", partial(case, a.machine, a.seed, i, a.weaker), wrong(i))
-        for i in numbers
-    ]
+    cases = numbered(a, partial(case, a.machine, a.weaker), a.machine, machine=a.machine, added=[], laws=[])
+    for _, _, wrong in cases:
+        kind = drawn(a.machine, a.seed, wrong["case"])[1]
+        wrong["truth"] = None if kind is None else {"law": kind.text}
     print("\n".join(table(answers(a.out, cases, line))))
 
 

@@ -1,4 +1,4 @@
-"""Rules of a diagnosis that rewrite an outcome, and how each is switched off (`ledger`).
+"""Rules of a diagnosis that rewrite an outcome, and how each is switched off (`corpus`).
 
 A rule is switched off by what replaces names of modules at run time, so that the package has no switches of its own. A
 replacement takes the function that was there and its arguments. A rule fires where its result is not what would be
@@ -18,22 +18,15 @@ Function = Callable[..., Any]
 
 @dataclass(frozen=True)
 class Rule:
-    """A rule that rewrites an outcome.
-
-    Args:
-        name: What it is called.
-        purpose: What it is for.
-        where: Names that it has in modules of `nsde_torch.diagnosis`, `module.name` or `module.Class.name`; or of
-            `nsde_torch.inference`, with that before it.
-        off: What is there without it, by the function itself and its arguments.
-        fires: Whether a result, with the arguments, is not what would be there without the rule.
-    """
+    """A rule that rewrites an outcome."""
 
     name: str
     purpose: str
-    where: tuple[str, ...]
-    off: Function
-    fires: Function
+    where: tuple[
+        str, ...
+    ]  # names in `nsde_torch.diagnosis`, `module.name`; with `inference.` before it, there
+    off: Function  # what is there without it, by the function itself and its arguments
+    fires: Function  # whether a result, with the arguments, is not what would be there without the rule
 
 
 def constant(value: Any) -> Function:
@@ -100,6 +93,16 @@ def _other_chances(result: Any, tests: Sequence[Any]) -> bool:
     return any(a.p != b.p for a, b in zip(result, tests, strict=True))
 
 
+def _lead(name: str, purpose: str, number: int = 0) -> Rule:
+    """A rule of the pipeline that makes leads, or changes the verdict, of the outcome that is one of its arguments."""
+    return Rule(name, purpose, (f"pipeline.{name}",), argument(number), marked(number))
+
+
+def _found(name: str, purpose: str, where: str, nothing: Any) -> Rule:
+    """A rule that fires where it finds anything."""
+    return Rule(name, purpose, (where,), constant(nothing), anything)
+
+
 RULES = (
     # ---- of the whole log
     Rule(
@@ -117,68 +120,29 @@ RULES = (
         other_than(0),
     ),
     # ---- findings that become leads, and the verdict
-    Rule(
-        "doubted",
-        "nothing is sure where simple fits speak against the final physics",
-        ("pipeline.doubted",),
-        argument(0),
-        marked(0),
-    ),
-    Rule(
-        "sized",
-        "an effect whose interval holds nothing is a lead",
-        ("pipeline.sized",),
-        argument(0),
-        marked(0),
-    ),
-    Rule(
-        "judged_on_runs_left_out",
-        "an effect that runs left out speak against is a lead",
-        ("pipeline.judged_on_runs_left_out",),
-        argument(0),
-        marked(0),
-    ),
-    Rule(
-        "not_sure",
-        "nothing is sure where rates of several coordinates were inferred",
-        ("pipeline.not_sure",),
-        argument(1),
-        marked(1),
-    ),
-    Rule(
-        "judged_by_the_ceiling",
-        "what functions explain is structure: leads, and the verdict",
-        ("pipeline.judged_by_the_ceiling",),
-        argument(0),
-        marked(0),
-    ),
-    Rule(
+    _lead("doubted", "nothing is sure where simple fits speak against the final physics"),
+    _lead("sized", "an effect whose interval holds nothing is a lead"),
+    _lead("judged_on_runs_left_out", "an effect that runs left out speak against is a lead"),
+    _lead("not_sure", "nothing is sure where rates of several coordinates were inferred", 1),
+    _lead("judged_by_the_ceiling", "what functions explain is structure: leads, and the verdict"),
+    _found(
         "structure where it acts",
         "an effect is a lead where much is left in its channels",
-        ("decision._too_much",),
-        constant(False),
-        anything,
+        "decision._too_much",
+        False,
     ),
-    Rule(
-        "bent shape",
-        "an effect whose shape ends at a bound is a lead",
-        ("decision._bent",),
-        constant(""),
-        anything,
-    ),
-    Rule(
+    _found("bent shape", "an effect whose shape ends at a bound is a lead", "decision._bent", ""),
+    _found(
         "a law of many",
         "a law is a lead beside other laws, or where inputs know more than the log",
-        ("decision._of_many",),
-        constant(""),
-        anything,
+        "decision._of_many",
+        "",
     ),
-    Rule(
+    _found(
         "tests beyond feedback",
         "what feedback may hide is no structure",
-        ("decision.allowances_of_tests",),
-        constant({}),
-        anything,
+        "decision.allowances_of_tests",
+        {},
     ),
     # ---- feedback
     Rule(
@@ -196,12 +160,11 @@ RULES = (
         _no_second_look,
         lambda result, search, place, *before: set(result[1]) != search.added(place.system),
     ),
-    Rule(
+    _found(
         "_in_parts",
         "a simpler effect and another one that are as likely as an effect are indistinguishable from it",
-        ("joint_selection.JointSearch._in_parts",),
-        constant(()),
-        lambda result, *args, **kwargs: bool(result),
+        "joint_selection.JointSearch._in_parts",
+        (),
     ),
     Rule(
         "_nearer_law",
@@ -217,12 +180,11 @@ RULES = (
         constant(None),
         lambda result, *args, **kwargs: result is not None,
     ),
-    Rule(
+    _found(
         "below_a_step",
         "a time shorter than half a step joins what is declared",
-        ("joint_selection.JointSearch._below_a_step",),
-        constant(False),
-        anything,
+        "joint_selection.JointSearch._below_a_step",
+        False,
     ),
     Rule(
         "order of candidates",
@@ -245,12 +207,11 @@ RULES = (
         argument(0),
         other_than(0),
     ),
-    Rule(
+    _found(
         "outliers",
         "measurements eight standard deviations off are left out, where they are rare",
-        ("inference.estimate.LogLikelihood.without_outliers",),
-        constant(None),
-        anything,
+        "inference.estimate.LogLikelihood.without_outliers",
+        None,
     ),
     Rule(
         "own_of_runs",
@@ -260,12 +221,11 @@ RULES = (
         _other_chances,
     ),
     # ---- laws beyond the catalogue
-    Rule(
+    _found(
         "laws for two of one variable",
         "laws are tried in the place of two laws of one quantity",
-        ("beyond_catalogue.of_one_variable",),
-        constant(False),
-        anything,
+        "beyond_catalogue.of_one_variable",
+        False,
     ),
     Rule(
         "laws named by the catalogue",

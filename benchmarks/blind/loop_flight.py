@@ -37,31 +37,20 @@ RATES = ("setpoint_rate_x", "setpoint_rate_y", "setpoint_rate_z")
 
 @dataclass(frozen=True)
 class Flight:
-    """One flight.
-
-    Args:
-        machine: What flies.
-        path: One of `PATHS`.
-        regime: One of `REGIMES`.
-        seconds: Its length [s].
-        t0: Reading of the clock at its start [s].
-        seed: Seed of all that is random in it.
-        sensor_noise: Factor on the noise of the log's sensors.
-        vigour: Factor on accelerations that are asked for.
-        known: Factors by which the controller's idea of thrust and of the three gains is off.
-        log: Step of the log and of a controller that reads it [s], whole milliseconds.
-    """
+    """One flight."""
 
     machine: Machine
-    path: str
-    regime: str
-    seconds: float
-    t0: float
+    path: str  # one of `PATHS`
+    regime: str  # one of `REGIMES`
+    seconds: float  # its length [s]
+    t0: float  # reading of the clock at its start [s]
     seed: int
-    sensor_noise: float = 1.0
-    vigour: float = 1.0
-    known: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0)
-    log: float = LOG
+    sensor_noise: float = 1.0  # factor on the noise of the log's sensors
+    vigour: float = 1.0  # factor on accelerations that are asked for
+    known: tuple[float, ...] = (
+        1.0,
+    ) * 4  # how far the controller's thrust and three gains are off, as factors
+    log: float = LOG  # step of the log and of a controller that reads it [s], whole milliseconds
 
 
 @dataclass(frozen=True)
@@ -224,14 +213,10 @@ class Cascade:
         return np.clip(np.einsum("bij,bj->bi", self.mixer, ask), 0.0, 1.0)
 
 
-def fly(flights: list[Flight]) -> list[Logged]:
-    """Fly flights of one regime at once.
+def fly(flights: list[Flight], bodies: type[Bodies] = Bodies) -> list[Logged]:
+    """Fly flights of one regime at once, of machines, paths and lengths of their own.
 
-    Args:
-        flights: They may be of different machines, paths and lengths.
-
-    Returns:
-        What is logged of each; nothing of it depends on the other flights of the batch.
+    Nothing that is logged of one depends on the other flights of the batch.
     """
     regime = flights[0].regime
     if any(f.regime != regime for f in flights):
@@ -244,7 +229,7 @@ def fly(flights: list[Flight]) -> list[Logged]:
     n = [len(path.yaw) for path in paths]
     asked = [_stacked(paths, part, max(n)) for part in ("p", "v", "a", "yaw", "yaw_rate")]
     gust = _Noise([[f.seed, 3] for f in flights], 6)
-    body = Bodies([f.machine for f in flights], np.array([f.t0 for f in flights]), gust)
+    body = bodies([f.machine for f in flights], np.array([f.t0 for f in flights]), gust)
     body.p, body.v = asked[0][0].copy(), asked[1][0].copy()
     half = 0.5 * asked[3][0]
     body.q = np.stack([np.cos(half), 0 * half, 0 * half, np.sin(half)], 1)

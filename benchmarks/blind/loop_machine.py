@@ -42,25 +42,14 @@ SIGNS: dict[str, Array] = {
     "quadrotor": np.array([[-1, 1, 1, -1], [-1, 1, -1, 1], [-1, -1, 1, 1]], dtype=float),
 }
 SIZES: dict[str, dict[str, int]] = {
-    "linear_drag": {"drag": 3},
-    "quadratic_drag": {"drag": 3},
-    "rotor_drag": {"drag": 3},
-    "translational_lift": {"lift": 1},
-    "constant_wind": {"drag": 3, "wind": 2},
-    "constant_world_force": {"acceleration": 3},
-    "ground_effect": {"area": 1, "height": 1},
-    "thrust_misalignment": {"tilt": 2},
-    "angular_damping": {"damping": 3},
-    "com_offset": {"offset": 2},
-    "gyroscopic_moment": {"momentum": 2},
-    "flapping_moment": {"gain": 2},
-    "inertia_coupling": {"product": 3},
-    "motor_lag": {"time_constant": 1},
-    "input_delay": {"delay": 1},
-    "motor_efficiency_loss": {"loss": MOTORS},
-    "thrust_sag": {"rate": 1},
-    "battery_voltage": {"sensitivity": 1},
-    "thrust_curve": {"curvature": 1},
+    **{name: {"drag": 3} for name in ("linear_drag", "quadratic_drag", "rotor_drag")},
+    **{"translational_lift": {"lift": 1}, "constant_wind": {"drag": 3, "wind": 2}},
+    **{"constant_world_force": {"acceleration": 3}, "ground_effect": {"area": 1, "height": 1}},
+    **{"thrust_misalignment": {"tilt": 2}, "angular_damping": {"damping": 3}, "com_offset": {"offset": 2}},
+    **{"gyroscopic_moment": {"momentum": 2}, "flapping_moment": {"gain": 2}},
+    **{"inertia_coupling": {"product": 3}, "motor_lag": {"time_constant": 1}, "input_delay": {"delay": 1}},
+    **{"motor_efficiency_loss": {"loss": MOTORS}, "thrust_sag": {"rate": 1}},
+    **{"battery_voltage": {"sensitivity": 1}, "thrust_curve": {"curvature": 1}},
 }
 """Effects and the sizes of their parameters; zeros are no effect."""
 Effects = Mapping[str, Mapping[str, Any]]
@@ -68,26 +57,33 @@ Effects = Mapping[str, Mapping[str, Any]]
 
 @dataclass(frozen=True)
 class Machine:
-    """One machine.
+    """One machine."""
 
-    Args:
-        system: `hexacopter` or `quadrotor`.
-        thrust_gain, thrust_offset: Thrust over mass per unit of summed command, and at none [m/s2].
-        gains: Roll, pitch, yaw acceleration per unit of signed command [rad/s2].
-        inertia: Jx / Jz and Jy / Jz.
-        effects: What it holds beside, name -> parameter -> value.
-        gust: Standard deviation of the world force, three numbers [m/s2], and of the moment, three [rad/s2].
-        gust_time: Time constants of the two filters [s].
-    """
+    system: str  # `hexacopter` or `quadrotor`
+    thrust_gain: float  # thrust over mass per unit of summed command [m/s2]
+    thrust_offset: float  # the same at no command [m/s2]
+    gains: tuple[float, float, float]  # roll, pitch, yaw acceleration per unit of signed command [rad/s2]
+    inertia: tuple[float, float]  # Jx / Jz and Jy / Jz
+    effects: Effects = field(default_factory=dict)  # what it holds beside, name -> parameter -> value
+    gust: tuple[float, ...] = (
+        0.0,
+    ) * 6  # standard deviations of the world force [m/s2] and the moment [rad/s2]
+    gust_time: tuple[float, float] = (0.5, 0.1)  # time constants of the two filters [s]
 
-    system: str
-    thrust_gain: float
-    thrust_offset: float
-    gains: tuple[float, float, float]
-    inertia: tuple[float, float]
-    effects: Effects = field(default_factory=dict)
-    gust: tuple[float, ...] = (0.0,) * 6
-    gust_time: tuple[float, float] = (0.5, 0.1)
+    @property
+    def declared(self) -> dict[str, float]:
+        """Its parameters by the names of the package."""
+        names = (
+            "thrust_gain",
+            "thrust_offset",
+            "roll_gain",
+            "pitch_gain",
+            "yaw_gain",
+            "inertia_x",
+            "inertia_y",
+        )
+        values = (self.thrust_gain, self.thrust_offset, *self.gains, *self.inertia)
+        return dict(zip(names, values, strict=True))
 
     @property
     def hover(self) -> float:
@@ -98,23 +94,12 @@ class Machine:
 def rotation(q: Array) -> Array:
     """Matrices (B, 3, 3) from body to world of unit quaternions (B, 4)."""
     w, x, y, z = q.T
-    out = np.empty((len(q), 3, 3))
-    out[:, 0, 0], out[:, 0, 1], out[:, 0, 2] = (
-        1 - 2 * (y * y + z * z),
-        2 * (x * y - w * z),
-        2 * (x * z + w * y),
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
     )
-    out[:, 1, 0], out[:, 1, 1], out[:, 1, 2] = (
-        2 * (x * y + w * z),
-        1 - 2 * (x * x + z * z),
-        2 * (y * z - w * x),
-    )
-    out[:, 2, 0], out[:, 2, 1], out[:, 2, 2] = (
-        2 * (x * z - w * y),
-        2 * (y * z + w * x),
-        1 - 2 * (x * x + y * y),
-    )
-    return out
+    return np.moveaxis(np.array(rows), 2, 0)
 
 
 def product(a: Array, b: Array) -> Array:
@@ -140,16 +125,10 @@ def times(m: Array, v: Array) -> Array:
 
 
 class Bodies:
-    """A batch of machines in flight.
+    """A batch of machines in flight, one for each row.
 
-    Args:
-        machines: One for each row.
-        t0: Reading of the clock at the start of each row (B,) [s]; thrust that falls with time reads it.
-        noise: White noise of the gusts, called with the number of rows: (B, 6).
-
-    Attributes:
-        p, v, q, w: True state, (B, 3), (B, 3), (B, 4), (B, 3).
-        m: Lagged commands (B, 6).
+    `t0` is the clock at the start (B,) [s], which thrust that falls with time reads; `noise` makes white noise of the
+    gusts (B, 6). True states are p, v, q, w, (B, 3), (B, 3), (B, 4), (B, 3), and lagged commands m (B, 6).
     """
 
     def __init__(self, machines: list[Machine], t0: Array, noise: Any = None, step: float = STEP) -> None:

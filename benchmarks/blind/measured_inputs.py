@@ -9,14 +9,13 @@ that hold the true values, of the likelihood of the logs as they were read; `as 
 
 from __future__ import annotations
 
-import argparse
 from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import t as students
+from study import Array, options
 
 from nsde_torch import read
 from nsde_torch.data.raw import RawRun
@@ -24,7 +23,6 @@ from nsde_torch.errors import DataError
 from nsde_torch.inference import fit
 from nsde_torch.systems import make_system
 
-Array = NDArray[np.float64]
 SPRING, FINE_S, RUN_S = make_system("mass_spring_damper"), 0.001, 30.0
 LABELS = "force_gain", "linear_spring.stiffness", "viscous_friction.damping"
 
@@ -111,19 +109,16 @@ def values(runs: list[RawRun], **how: Any) -> tuple[Array, Array, str]:
 
 
 def main() -> None:
-    """Print a line for each kind."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, default=20)
-    parser.add_argument("--seed", type=int, default=1)
+    parser = options(__doc__, seeds=20, seed=1)
     parser.add_argument("--only", default="", help="kinds whose name begins so")
-    options = parser.parse_args()
+    given = parser.parse_args()
     print(
         "| force | read | held | error of the gain | as logged: held | error of the gain |\n|---|---|---|---|---|---|"
     )
     for number, (name, kind) in enumerate(KINDS.items()):
-        if not name.startswith(options.only):
+        if not name.startswith(given.only):
             continue
-        cases, true = logs(kind, options.seeds, np.random.default_rng([options.seed, number]))
+        cases, true = logs(kind, given.seeds, np.random.default_rng([given.seed, number]))
         said: Counter[str] = Counter()
         line = []
         for how in ({}, {"state_smoothing": "keep"}):

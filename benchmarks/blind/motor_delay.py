@@ -16,18 +16,12 @@ and 200 ms whose rms error of f is least. It asks for flights that move the thro
 
 from __future__ import annotations
 
-import argparse
-import sys
-import tempfile
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-from scipy.signal import lfilter
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
 import mujoco_machines as machines
+import numpy as np
+from scipy.signal import lfilter
+from study import Array, Json, line, options, written
 
 import nsde_torch
 
@@ -49,38 +43,36 @@ def by_thrust(data: nsde_torch.data.DataSet) -> float:
     def error(lag: float) -> float:
         keep = float(np.exp(-dt / lag))
         rows = [lfilter([0.0, 1.0 - keep], [1.0, -keep], u - u[0], axis=0) + u[0] for u in commands]
-        x: NDArray[np.float64] = np.concatenate(rows)
+        x: Array = np.concatenate(rows)
         table = np.stack((np.ones(len(x)), x.sum(1), (x * x).sum(1)), 1)
         return float(np.square(wanted - table @ np.linalg.lstsq(table, wanted)[0]).mean())
 
     return float(min(GRID, key=error))
 
 
-def judged(seed: int) -> dict[str, Any]:
+def judged(seed: int) -> Json:
     """Both on one machine."""
-    with tempfile.TemporaryDirectory() as folder:
-        truth = machines.write("quadrotor_lag", seed, Path(folder))["motor_lag.time_constant"]
-        data = nsde_torch.read(folder, system="quadrotor")
-        found = nsde_torch.diagnose(data, system="quadrotor", say=False)
-    own = found.parameters.get("motor_lag.time_constant", {"value": float("nan"), "interval_90": None})
-    return {"truth": truth, "thrust": by_thrust(data), "own": own, "added": found.added}
+    logs = []
+
+    def write(folder: Path) -> float:
+        truth = machines.write("quadrotor_lag", seed, folder)["motor_lag.time_constant"]
+        logs.append(nsde_torch.read(folder, system="quadrotor"))
+        return truth
+
+    truth, _, answer = written(write, "quadrotor", say=False)
+    own = answer["parameters"].get("motor_lag.time_constant", {"value": np.nan, "interval_90": None})
+    return {"truth": truth, "thrust": by_thrust(logs[0]), "own": own, "added": answer["added"]}
 
 
 def main() -> None:
-    """Print a row for each machine, and the medians."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--seeds", type=int, default=6)
-    given = parser.parse_args()
+    given = options(__doc__, seeds=6).parse_args()
     rows = []
     print("| true lag | sysid.tools' method | diagnosis | 90 % interval | named |\n|---|---|---|---|---|")
     for seed in range(given.seeds):
         r = judged(seed)
+        ms = [f"{1e3 * v:.1f}" for v in (r["truth"], r["thrust"], r["own"]["value"])]
         ends = ", ".join(f"{1e3 * e:.1f}" for e in r["own"]["interval_90"] or ())
-        print(
-            f"| {1e3 * r['truth']:.1f} ms | {1e3 * r['thrust']:.1f} | {1e3 * r['own']['value']:.1f} | {ends} | "
-            f"{', '.join(r['added'])} |",
-            flush=True,
-        )
+        print(line([f"{ms[0]} ms", *ms[1:], ends, ", ".join(r["added"])]), flush=True)
         rows.append([abs(r["thrust"] / r["truth"] - 1), abs(r["own"]["value"] / r["truth"] - 1)])
     thrust, own = 100 * np.median(rows, axis=0)
     print(f"error of the lag, median: {thrust:.1f} % and {own:.1f} %")

@@ -13,33 +13,21 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
-from study import save
+from study import STATES, Array, save
 
-Array = NDArray[np.float64]
 STEP = 0.001  # [s]
-CART = ("t", "x", "x_dot", "theta", "theta_dot", "force")
-QUADROTOR = (
-    *("t", "p_x", "p_y", "p_z", "v_x", "v_y", "v_z", "q_w", "q_x", "q_y", "q_z"),
-    *("w_x", "w_y", "w_z", "u_1", "u_2", "u_3", "u_4"),
-)
+CART = ("t", *STATES["cartpole"], "force")
+QUADROTOR = ("t", *STATES["multirotor"], "u_1", "u_2", "u_3", "u_4")
 
 
 @dataclass(frozen=True)
 class Machine:
-    """What a simulated machine has beyond the declared physics.
+    """What a simulated machine has beyond the declared physics."""
 
-    Args:
-        lag: Time constant of the actuators [s].
-        delay: Delay of the inputs [steps].
-        model: Attributes of MuJoCo's elements, by element.
-        strength: Of each motor.
-    """
-
-    lag: float = 0.0
-    delay: int = 0
-    model: dict[str, str] = field(default_factory=dict)
-    strength: Sequence[float] = (1.0, 1.0, 1.0, 1.0)
+    lag: float = 0.0  # time constant of the actuators [s]
+    delay: int = 0  # of the inputs [steps]
+    model: dict[str, str] = field(default_factory=dict)  # attributes of MuJoCo's elements, by element
+    strength: Sequence[float] = (1.0, 1.0, 1.0, 1.0)  # of each motor
 
 
 class CartOnRail:
@@ -48,11 +36,7 @@ class CartOnRail:
     total, pole, half = 1.15, 0.25, 0.3
     inertia = 4.0 / 3.0 * pole * half**2  # about the pivot [kg m2]
     columns, dt, seconds = CART, 0.02, 30.0
-    values: dict[str, float] = {
-        "force_gain": 1.0 / total,
-        "pole_share": pole / total,
-        "half_length": half,
-    }
+    values: dict[str, float] = {"force_gain": 1.0 / total, "pole_share": pole / total, "half_length": half}
 
     def run(self, machine: Machine, rng: np.random.Generator) -> Array:
         """One run (T, 6)."""
@@ -71,11 +55,8 @@ class CartOnRail:
         data = mujoco.MjData(model)
         data.qpos[:] = [0.0, np.pi + 0.4 * rng.normal()]
         mujoco.mj_forward(model, data)
-        size, frequency, phase = (
-            rng.uniform(0.5, 1.6, 5),
-            rng.uniform(0.3, 1.6, 5),
-            rng.uniform(0.0, 2.0 * np.pi, 5),
-        )
+        size, frequency = rng.uniform(0.5, 1.6, 5), rng.uniform(0.3, 1.6, 5)
+        phase = rng.uniform(0.0, 2.0 * np.pi, 5)
         queue, acting, gust = [0.0] * (machine.delay + 1), 0.0, 0.0
         rows = []
         for k in range(round(self.seconds / self.dt)):
@@ -198,14 +179,15 @@ def _matrix(q: Array) -> Array:
     return out.reshape(3, 3)
 
 
-Kind = Callable[[np.random.Generator], tuple[Machine, dict[str, float]]]
+Drawn = tuple[Machine, dict[str, float]]
+Kind = Callable[[np.random.Generator], Drawn]
 """Draws a machine; the truth is names of effects, or of their parameters, with values (nan: no value of ours)."""
 
 
 def _joint(joint: str, over: float, attribute: str, low: float, high: float, name: str) -> Kind:
     """An attribute of a joint; as the package tells it, it is over the mass or the inertia."""
 
-    def make(rng: np.random.Generator) -> tuple[Machine, dict[str, float]]:
+    def make(rng: np.random.Generator) -> Drawn:
         size = float(rng.uniform(low, high))
         return Machine(model={joint: f'{attribute}="{size}"'}), {name: size / over}
 
@@ -217,7 +199,7 @@ _pivot = partial(_joint, "pivot", CartOnRail.inertia)
 
 
 def _slow(name: str, low: float, high: float) -> Kind:
-    def make(rng: np.random.Generator) -> tuple[Machine, dict[str, float]]:
+    def make(rng: np.random.Generator) -> Drawn:
         lag = float(rng.uniform(low, high))
         return Machine(lag=lag), {name: lag}
 
@@ -225,30 +207,30 @@ def _slow(name: str, low: float, high: float) -> Kind:
 
 
 def _late(low: int, high: int) -> Kind:
-    def make(rng: np.random.Generator) -> tuple[Machine, dict[str, float]]:
+    def make(rng: np.random.Generator) -> Drawn:
         steps = int(rng.integers(low, high + 1))
         return Machine(delay=steps), {"input_delay.delay": steps * STEP}
 
     return make
 
 
-def _tilted(rng: np.random.Generator) -> tuple[Machine, dict[str, float]]:
+def _tilted(rng: np.random.Generator) -> Drawn:
     turn = float(rng.uniform(0.02, 0.06) * rng.choice([-1.0, 1.0]))
     gravity = f"{-9.8 * np.sin(turn)} 0 {-9.8 * np.cos(turn)}"
     return Machine(model={"gravity": gravity}), {"track_tilt.slope": float(np.tan(turn))}
 
 
-def _two(rng: np.random.Generator) -> tuple[Machine, dict[str, float]]:
+def _two(rng: np.random.Generator) -> Drawn:
     friction, lag = float(rng.uniform(0.15, 0.45)), float(rng.uniform(0.03, 0.08))
     truth = {"coulomb_friction[cart].size": friction / CartOnRail.total, "actuator_lag.time_constant": lag}
     return Machine(lag=lag, model={"rail": f'frictionloss="{friction}"'}), truth
 
 
-def _nothing(rng: np.random.Generator) -> tuple[Machine, dict[str, float]]:
+def _nothing(rng: np.random.Generator) -> Drawn:
     return Machine(), {}
 
 
-def _weak(rng: np.random.Generator) -> tuple[Machine, dict[str, float]]:
+def _weak(rng: np.random.Generator) -> Drawn:
     motor, left = int(rng.integers(4)), float(rng.uniform(0.8, 0.93))
     strength = [left if i == motor else 1.0 for i in range(4)]
     return Machine(strength=strength), {f"motor_efficiency_loss.loss[{motor}]": 1.0 - left}
@@ -257,7 +239,7 @@ def _weak(rng: np.random.Generator) -> tuple[Machine, dict[str, float]]:
 _IN_AIR = 'fluidshape="ellipsoid" fluidcoef="0.5 0.25 0.4 0 0"'
 
 
-def _drag(rng: np.random.Generator) -> tuple[Machine, dict[str, float]]:
+def _drag(rng: np.random.Generator) -> Drawn:
     air = f'density="{float(rng.uniform(2.0, 4.0))}"'
     return Machine(model={"air": air, "body": _IN_AIR}), {"quadratic_drag": float("nan")}
 

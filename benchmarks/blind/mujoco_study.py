@@ -10,66 +10,31 @@ among what was added; what else was added is told beside it.
 from __future__ import annotations
 
 import math
-import sys
-import tempfile
-import time
-from functools import partial
-from pathlib import Path
-from typing import Any
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
 import mujoco_machines as machines
-from study import answers, options
-
-Json = dict[str, Any]
+from study import Json, answers, holds, in_turn, options, written
 
 
 def diagnosed(kind: str, seed: int) -> Json:
     """Simulate a case and diagnose it."""
-    import torch
-
-    import nsde_torch
-
-    torch.set_num_threads(1)
     plant, _ = machines.KINDS[kind]
     system = "cartpole" if plant is machines.CartOnRail else "quadrotor"
-    with tempfile.TemporaryDirectory() as folder:
-        truth = machines.write(kind, seed, Path(folder))
-        start = time.perf_counter()
-        found = nsde_torch.diagnose(folder, system=system)
-    content = found.content()
-    return {
-        "kind": kind,
-        "seed": seed,
-        "truth": truth,
-        "declared_truth": plant.values,
-        "verdict": found.verdict,
-        "added": found.added,
-        "leads": [f.name for f in found.outcome.found if f.provisional],
-        "ties": content["ties"],
-        "parameters": found.parameters,
-        "declared": content["declared_parameters"],
-        "seconds": time.perf_counter() - start,
-    }
+    truth, _, answer = written(lambda folder: machines.write(kind, seed, folder), system)
+    return {"kind": kind, "seed": seed, "truth": truth, "declared_truth": plant.values, **answer}
 
 
 def judge(answer: Json) -> str:
     """Add to an answer what it is worth; returns a line."""
     names = {label.partition(".")[0] for label in answer["truth"]}
-    added = answer.get("added", [])
+    added = answer["added"]
     answer["named"] = names <= set(added)
     answer["others"] = [name for name in added if name not in names]
-    told = []
-    truths = {**answer["truth"], **answer.get("declared_truth", {})}
-    for label, value in truths.items():
+    told = answer["values"] = []
+    for label, value in {**answer["truth"], **answer.get("declared_truth", {})}.items():
         found = answer.get("parameters", {}).get(label) or answer.get("declared", {}).get(label)
-        if found is None or math.isnan(value) or not found.get("interval_90"):
-            continue
-        low, high = found["interval_90"]
-        told.append(
-            {"parameter": label, "truth": value, "found": found["value"], "holds": low <= value <= high}
-        )
-    answer["values"] = told
+        if found and not math.isnan(value) and found.get("interval_90"):
+            held = holds({"interval_90": found["interval_90"]}, value)
+            told.append({"parameter": label, "truth": value, "found": found["value"], "holds": held})
     word = "named" if answer["named"] else "NOT named"
     word = word if names else ("silent" if not added else "NOT silent")
     values = ", ".join(
@@ -82,23 +47,16 @@ def judge(answer: Json) -> str:
 
 
 def main() -> None:
-    """Run or go on, and print the table."""
-    args = options(__doc__ or "", count=len(machines.KINDS)).parse_args()
     kinds = list(machines.KINDS)
-    cases = []
-    for i in range(args.first, args.first + args.count):
-        kind, seed = kinds[i % len(kinds)], args.seed + i // len(kinds)
-        wrong = {"kind": kind, "seed": seed, "truth": {"nothing": math.nan}, "added": []}
-        cases.append((f"{kind}_{seed}", partial(diagnosed, kind, seed), wrong))
-    done = answers(args.out, cases, judge)
-    single = [a for a in done if a["truth"]]
-    nulls = [a for a in done if not a["truth"]]
-    values = [v for a in done for v in a["values"]]
-    of_effects = [v for a in done for v in a["values"] if v["parameter"] in a["truth"]]
+    a = options(__doc__, "seed", "out", first=0, count=len(kinds)).parse_args()
+    done = answers(a.out, in_turn(a, kinds, diagnosed, truth={"nothing": math.nan}, added=[]), judge)
+    single, nulls = [x for x in done if x["truth"]], [x for x in done if not x["truth"]]
+    values = [v for x in done for v in x["values"]]
+    of_effects = [v for x in done for v in x["values"] if v["parameter"] in x["truth"]]
     print(
-        f"\n{sum(a['named'] for a in single)} of {len(single)} named, "
-        f"{sum(a['named'] and not a['others'] for a in single)} with nothing beside; "
-        f"{sum(not a['added'] for a in nulls)} of {len(nulls)} nulls silent; 90 % intervals that hold: "
+        f"\n{sum(x['named'] for x in single)} of {len(single)} named, "
+        f"{sum(x['named'] and not x['others'] for x in single)} with nothing beside; "
+        f"{sum(not x['added'] for x in nulls)} of {len(nulls)} nulls silent; 90 % intervals that hold: "
         f"{sum(v['holds'] for v in of_effects)} of {len(of_effects)} of effects, "
         f"{sum(v['holds'] for v in values)} of {len(values)} in all"
     )

@@ -14,8 +14,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
-from pathlib import Path
 from time import perf_counter
 from typing import Any
 
@@ -24,8 +22,6 @@ import mujoco.rollout
 import mujoco.sysid
 import numpy as np
 import torch
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import nsde_torch
 from nsde_torch.data import Run, Windows
@@ -155,7 +151,6 @@ def judged(seed: int) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Judge springs and print the medians."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--count", type=int, default=10)
     parser.add_argument("--seed", type=int, default=1, help="of the first spring")

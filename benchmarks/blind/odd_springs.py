@@ -11,23 +11,13 @@ it is, or one that is the same law in these data. What else is found for sure co
 from __future__ import annotations
 
 import math
-import sys
-import tempfile
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
-from typing import Any
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import numpy as np
-from numpy.typing import NDArray
-from study import answers, options, save
+from study import Array, Json, answers, in_turn, options, save, tied, written
 
-Json = dict[str, Any]
-Array = NDArray[np.float64]
 STEP, INNER = 0.01, 200
 GAIN, STIFFNESS, DAMPING = 1.2, 5.0, 0.4
 _STOP = "force = c1 max(q - k1, 0)"
@@ -45,21 +35,15 @@ class State:
 
 @dataclass(frozen=True)
 class Kind:
-    """One machine.
+    """One machine."""
 
-    Args:
-        acts: Input that acts, from the command and the state.
-        pulls: What is added to the acceleration, from the acting input and the state.
-        dry: Size of the dry friction at the state.
-        may: Effects that may stand as found for sure.
-        logs: What is logged of a position or a speed, from its true value.
-    """
-
-    acts: Callable[[float, State], float] = lambda u, s: u
-    pulls: Callable[[float, State], float] = lambda u, s: 0.0
-    dry: Callable[[State], float] = lambda s: 0.0
-    may: tuple[str, ...] = ()
-    logs: Callable[[Array], Array] = lambda x: x
+    acts: Callable[[float, State], float] = lambda u, s: u  # input that acts, from the command and the state
+    pulls: Callable[[float, State], float] = lambda u, s: (
+        0.0
+    )  # further acceleration, from what acts and the state
+    dry: Callable[[State], float] = lambda s: 0.0  # size of the dry friction
+    may: tuple[str, ...] = ()  # effects that may stand as found for sure
+    logs: Callable[[Array], Array] = lambda x: x  # what is logged of a position or a speed
 
 
 def _slew(limit: float) -> Callable[[float, State], float]:
@@ -165,55 +149,27 @@ def write(name: str, seed: int, folder: Path, runs: int = 3) -> Kind:
 
 def diagnosed(name: str, seed: int) -> Json:
     """Simulate a case and diagnose it."""
-    import torch
-
-    import nsde_torch
-
-    torch.set_num_threads(1)
-    with tempfile.TemporaryDirectory() as folder:
-        kind = write(name, seed, Path(folder))
-        start = time.perf_counter()
-        found = nsde_torch.diagnose(folder, system="mass_spring_damper")
-    content = found.content()
-    return {
-        "kind": name,
-        "seed": seed,
-        "may": kind.may,
-        "verdict": found.verdict,
-        "added": found.added,
-        "leads": [f.name for f in found.outcome.found if f.provisional],
-        "tied": [name for tie in content["ties"] for name in tie["effects"]] if content["ties"] else [],
-        "recording": [f.sentence for f in found.recorded.faults],
-        "parameters": found.parameters,
-        "declared": content["declared_parameters"],
-        "seconds": time.perf_counter() - start,
-    }
+    kind, found, answer = written(lambda folder: write(name, seed, folder), "mass_spring_damper")
+    recording = [f.sentence for f in found.recorded.faults]
+    return {"kind": name, "seed": seed, "may": kind.may, **answer, "recording": recording}
 
 
 def judge(answer: Json) -> str:
     """Add to an answer what is surely wrong; returns a line."""
-    sure = [n for n in answer.get("added", []) if n not in answer["leads"] and n not in answer["tied"]]
-    answer["surely wrong"] = (
-        [] if answer.get("verdict") == "unexplained" else [n for n in sure if n not in answer["may"]]
-    )
+    named = answer["added"] if answer.get("verdict") != "unexplained" else []
+    sure = [n for n in named if n not in answer["leads"] and n not in tied(answer)]
+    answer["surely wrong"] = [n for n in sure if n not in answer["may"]]
     wrong = f"; SURELY WRONG {', '.join(answer['surely wrong'])}" if answer["surely wrong"] else ""
-    leads = f"; leads {', '.join(answer['leads'])}" if answer.get("leads") else ""
+    leads = f"; leads {', '.join(answer['leads'])}" if answer["leads"] else ""
     told = f"; {' '.join(answer['recording'])}" if answer.get("recording") else ""
-    found = ", ".join(answer.get("added", [])) or "nothing"
-    what = answer.get("error") or f"{answer['verdict']}: {found}"
+    what = answer.get("error") or f"{answer['verdict']}: {', '.join(answer['added']) or 'nothing'}"
     return f"{answer['kind']:16} {what}{leads}{wrong}{told} ({answer.get('seconds', math.nan):.0f} s)"
 
 
 def main() -> None:
-    """Run or go on, and print the table."""
     names = list(kinds(np.random.default_rng(0)))
-    args = options(__doc__ or "", count=len(names)).parse_args()
-    cases = []
-    for i in range(args.first, args.first + args.count):
-        name, seed = names[i % len(names)], args.seed + i // len(names)
-        wrong = {"kind": name, "seed": seed, "may": (), "added": [], "leads": [], "tied": []}
-        cases.append((f"{name.replace(' ', '_')}_{seed}", partial(diagnosed, name, seed), wrong))
-    done = answers(args.out, cases, judge)
+    args = options(__doc__, "seed", "out", first=0, count=len(names)).parse_args()
+    done = answers(args.out, in_turn(args, names, diagnosed, may=(), added=[], leads=[], ties=[]), judge)
     print(f"\n{sum(bool(a['surely wrong']) for a in done)} of {len(done)} surely wrong")
 
 

@@ -39,7 +39,6 @@ class QuinticStiffness(_Outside):
     PARAMETERS = {"size": Parameter(0.0, "1/(m4 s2)", scale=1.0, help="k")}
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        """See `Effect.forward`."""
         return -self.value("size") * x[:, :1] ** 5
 
 
@@ -55,20 +54,16 @@ class Hysteresis(_Outside):
 
     @property
     def n_memory(self) -> int:
-        """The state m."""
         return 1
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        """See `Effect.forward`."""
         return -self.value("size") * memory
 
     def memory_rate(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        """See `Effect.memory_rate`."""
         v = x[:, 1:2]
         return (v - 0.5 * (v.abs() * memory + v * memory.abs())) / self.value("reach")
 
     def memory_start(self, x: Tensor, u: Tensor) -> Tensor:
-        """See `Effect.memory_start`."""
         return torch.zeros_like(x[:, :1])
 
 
@@ -83,7 +78,6 @@ class PlaceFriction(_Outside):
     }
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        """See `Effect.forward`."""
         place = x[:, :1] / self.value("length")
         return -self.value("size") * place * place * x[:, 1:2]
 
@@ -99,7 +93,6 @@ class Cogging(_Outside):
     }
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        """See `Effect.forward`."""
         return -self.value("size") * torch.sin(2.0 * pi * x[:, :1] / self.value("pitch"))
 
 
@@ -111,7 +104,6 @@ class CubicDamping(_Outside):
     PARAMETERS = {"size": Parameter(0.0, "s/m2", scale=0.1, help="d")}
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        """See `Effect.forward`."""
         return -self.value("size") * x[:, 1:2] ** 3
 
 
@@ -138,7 +130,6 @@ class Burst(_Burst):
     name, port = "burst", Port.FORCE
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        """See `Effect.forward`."""
         return self.push(t, x)
 
 
@@ -149,7 +140,6 @@ class GustBurst(_Burst):
     name, port, needs = "gust_burst", Port.WORLD_FORCE, (Port.BODY_MOMENT,)
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        """See `Effect.forward`."""
         return _east(self.push(t, x))
 
 
@@ -162,7 +152,6 @@ class PoleMagnet(_Outside):
     PARAMETERS = {"size": Parameter(0.0, "rad/s2", scale=0.1, help="c")}
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        """See `Effect.forward`."""
         return -self.value("size") * torch.sin(2.0 * x[:, 2:3])
 
 
@@ -175,7 +164,6 @@ class PoleDrag(_Outside):
     PARAMETERS = {"size": Parameter(0.0, "1", scale=0.1, help="d")}
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        """See `Effect.forward`."""
         rate = x[:, 3:4]
         return -self.value("size") * rate.abs() * rate
 
@@ -188,7 +176,6 @@ class CrossDrag(_Outside):
     PARAMETERS = {"size": Parameter(0.0, "1/s", scale=0.1, help="d")}
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        """See `Effect.forward`."""
         v_x, v_y, _ = columns(body_velocity(x))
         return self.value("size") * stack_columns((-v_y, v_x, torch.zeros_like(v_x)))
 
@@ -201,7 +188,6 @@ class CubicDrag(_Outside):
     PARAMETERS = {"size": Parameter(0.0, "s/m2", scale=0.1, help="d")}
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        """See `Effect.forward`."""
         v = body_velocity(x)
         return -self.value("size") * (v * v).sum(1, keepdim=True) * v
 
@@ -219,7 +205,6 @@ class Fan(_Outside):
     }
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        """See `Effect.forward`."""
         away = (x[:, :2] - self.value("place")) / self.value("radius")
         return _east(self.value("size") * torch.exp(-0.5 * (away * away).sum(1, keepdim=True)))
 
@@ -233,7 +218,6 @@ class LiftWithSpeed(_Outside):
     PARAMETERS = {"size": Parameter(0.0, "s2/m2", scale=0.01, help="c")}
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        """See `Effect.forward`."""
         v = body_velocity(x)[:, :2]
         lift = self.value("size") * self.channel("thrust", u) * (v * v).sum(1, keepdim=True)
         return torch.cat((torch.zeros_like(lift), torch.zeros_like(lift), lift), 1)
@@ -247,7 +231,6 @@ class RateCubed(_Outside):
     PARAMETERS = {"size": Parameter(0.0, "s", scale=0.1, help="d")}
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        """See `Effect.forward`."""
         return -self.value("size") * x[:, 10:13] ** 3
 
 
@@ -263,7 +246,6 @@ class Swing(_Outside):
     }
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        """See `Effect.forward`."""
         angle = 2.0 * pi * self.value("frequency") * elapsed(t, x)
         push = (self.value("size") * torch.sin(angle)).to(x.dtype)
         return _east(push.reshape(-1, 1).expand(len(x), 1))

@@ -21,8 +21,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-sys.path.insert(0, str(Path(__file__).resolve().parent))
+sys.path.append(str(Path(__file__).resolve().parents[1]))
 
 import numpy as np
 import torch
@@ -161,7 +160,6 @@ def judged(folder: Path, name: str, out: Path) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Judge the cases and print a table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--cases", type=Path, required=True, help="folder of generate.py, answered by run.py")
     parser.add_argument("--out", type=Path, default=Path("results/peers"))

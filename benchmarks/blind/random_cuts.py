@@ -12,11 +12,9 @@ the screen.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import csv
 import io
-import json
 import os
 import signal
 import subprocess
@@ -24,16 +22,13 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
-
-os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import torch
+from study import Json, options, read_json, save, write_json
 
 from nsde_torch.cli.main import main as nsde
 
-Json = dict[str, Any]
 STEPS = {  # of the logs that are cut [s]
     "mass_spring_damper": (0.0005, 0.002, 0.01, 0.02),
     "cartpole": (0.0005, 0.002, 0.01, 0.02),
@@ -109,11 +104,8 @@ def cut(log: Path, out: Path, rng: np.random.Generator, most: int) -> str:
     if rng.random() < 0.3:
         for p in pieces:
             p[:, 0] -= p[0, 0]
-    out.mkdir(parents=True, exist_ok=True)
     for n, p in enumerate(pieces):
-        with (out / f"run_{n}.csv").open("w") as stream:
-            stream.write(",".join(head[k] for k in keep) + "\n")
-            np.savetxt(stream, p[:, keep], fmt="%.9g", delimiter=",")
+        save(out / f"run_{n}.csv", [head[k] for k in keep], [p[:, keep]])
     return ", ".join(words)
 
 
@@ -175,13 +167,13 @@ def one(folder: Path, number: int, seed: int, systems: Sequence[str], most: int)
     answer = diagnosed([*words, f"out_dir={place / 'out'}"], place / "screen.txt")
     answer |= {"case": number, "system": system, "dt": dt, "effect": effect, "cut": done}
     answer["fault"] = fault(answer)
-    (place / "answer.json").write_text(json.dumps(answer, indent=1))
+    write_json(place / "answer.json", answer)
     return answer
 
 
 def judge(folder: Path) -> None:
     """Prints what became of all cuts."""
-    answers = [json.loads(f.read_text()) for f in sorted(folder.glob("case_*/answer.json"))]
+    answers = [read_json(f) for f in sorted(folder.glob("case_*/answer.json"))]
     for a in answers:
         if a["fault"]:
             print(
@@ -195,13 +187,7 @@ def judge(folder: Path) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--count", type=int, default=200)
+    parser = options(__doc__, "out", seed=1, first=0, count=200)
     parser.add_argument("--systems", nargs="+", choices=list(STEPS), default=list(STEPS))
     parser.add_argument("--rows", type=int, default=5000, help="most rows of a run")
     parser.add_argument("--judge", action="store_true")

@@ -9,18 +9,13 @@ by Runge-Kutta 4 at a fifth of the step, with white gusts; play is Tao and Kokot
 
 from __future__ import annotations
 
-import argparse
-import sys
-from pathlib import Path
+from typing import Any
 
 import numpy as np
-import torch
+from small_machines import step, sums_of_sines
+from study import Array, diagnosed, options
 
-import nsde_torch
 from nsde_torch.data.raw import RawRun
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-from position_machines import Array, sums_of_sines
 
 RIGHT = {
     "bouc_wen": "hysteresis",
@@ -53,11 +48,11 @@ def run(kind: str, values: dict[str, float], rng: np.random.Generator) -> tuple[
     """Measured states (n, 2) and commands (n, 1) of one run of 15 s."""
     t = DT * np.arange(1500)
     u = sums_of_sines(t, 2.0, rng, 0.08, 1.5)
-    acting, h, y = _acting(kind, u, values["time"]), DT / FINE, np.zeros(3)
+    acting, h, y = _acting(kind, u, values["time"]), DT / FINE, [0.0] * 3
     size, reach = values["size"], values["reach"]
 
-    def rate(y: Array, push: float) -> Array:
-        q, v, z = (float(c) for c in y)
+    def rate(y: Any, push: float) -> list[float]:
+        q, v, z = y
         force = -values["k"] * q - values["b"] * v + values["g"] * push
         turn = 0.0
         if kind in ("bouc_wen", "dahl"):
@@ -65,28 +60,19 @@ def run(kind: str, values: dict[str, float], rng: np.random.Generator) -> tuple[
             turn = v - (0.5 * (abs(v) * z + v * abs(z)) if kind == "bouc_wen" else abs(v) * z)
         elif kind == "coulomb":
             force -= size * np.tanh(v / 0.01)
-        return np.array([v, force, turn / reach])
+        return [v, force, turn / reach]
 
     out = np.empty((len(t), 2))
     for n, push in enumerate(acting):
         out[n] = y[:2]
         for _ in range(FINE):
-            k1 = rate(y, push)
-            k2 = rate(y + 0.5 * h * k1, push)
-            k3 = rate(y + 0.5 * h * k2, push)
-            k4 = rate(y + h * k3, push)
-            y = y + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+            y = step(lambda y, push=push: rate(y, push), y, h)
             y[1] += GUST * np.sqrt(h) * rng.standard_normal()
     return out + rng.standard_normal(out.shape) * [NOISE, 10.0 * NOISE], u[:, None]
 
 
 def main() -> None:
-    """Diagnoses one case after another, and counts."""
-    parser = argparse.ArgumentParser(description="Springs that remember.")
-    parser.add_argument("--seed", type=int, required=True)
-    parser.add_argument("--count", type=int, default=12)
-    a = parser.parse_args()
-    torch.set_num_threads(1)
+    a = options(__doc__, "seed", count=12).parse_args()
     right = 0
     for i in range(a.count):
         rng = np.random.default_rng([a.seed, i])
@@ -98,21 +84,12 @@ def main() -> None:
         for n in range(4):
             x, u = run(kind, values, np.random.default_rng([a.seed, i, n]))
             runs.append(RawRun(f"run_{n}", DT * np.arange(len(x)) + 100.0 * n, x, u))
-        found = nsde_torch.diagnose(runs, system="mass_spring_damper").content()
+        _, found = diagnosed(runs, "mass_spring_damper")
         good = found["added"][:1] == [RIGHT[kind]] if RIGHT[kind] else not found["added"]
         right += good
         told = {k: [v["value"], v["interval_90"]] for k, v in found["parameters"].items()}
-        print(
-            i,
-            kind,
-            "right" if good else "WRONG",
-            values,
-            "->",
-            found["verdict"],
-            found["added"],
-            told,
-            flush=True,
-        )
+        said = f"{values} -> {found['verdict']} {found['added']} {told}"
+        print(i, kind, "right" if good else "WRONG", said, flush=True)
     print(f"right {right} of {a.count}")
 
 

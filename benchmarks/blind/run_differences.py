@@ -1,54 +1,49 @@
 """Springs and carts of which something differs between runs: is it named, alone, and do the intervals hold?
 
     python benchmarks/blind/run_differences.py --seed 1 --count 32 --out runs/differences
+    python benchmarks/blind/run_differences.py --seed 1 --count 32 --out runs/within --within
+    python benchmarks/blind/run_differences.py --seed 1 --count 24 --out runs/unseen --unseen
 
 Machines are those of `small_machines`. What differs, by how much and in which of three to six runs is drawn; in a third
 of the cases one run alone differs. Nulls have runs of one machine. `--within` lets it change in the middle of runs of
 30 s: in one of two runs, in both at moments of their own, or in a single run.
+
+`--unseen` asks instead whether 90 % intervals of a trained model hold in runs that it has not seen: what differs is
+drawn for each of fifteen runs from one normal law, five train by default, and coverage, by horizon, and minus the log
+density of a measurement are of the ten others.
 """
 
 from __future__ import annotations
 
-import sys
 import tempfile
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeAlias
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
+from typing import Any
 
 import numpy as np
-from small_machines import STATES, Small, run
-from study import answers, options, save
+from small_machines import Small, columns, run
+from study import Json, answers, diagnosed, in_turn, options, save
 
-Json = dict[str, Any]
-Draw: TypeAlias = Callable[[str, int], "Made"]
 SPRING, CART = "mass_spring_damper", "cartpole"
-VALUES = {SPRING: {"k": 4.0, "b": 0.5, "g": 1.0}, CART: {"g": 1.0, "s": 0.2, "l": 0.5}}
-NOISE = {SPRING: (0.001, 0.003), CART: (0.0005, 0.005, 0.001, 0.01)}
+MACHINES = {
+    SPRING: Small(SPRING, {"k": 4.0, "b": 0.5, "g": 1.0}, {}, (0.001, 0.003)),
+    CART: Small(CART, {"g": 1.0, "s": 0.2, "l": 0.5}, {}, (0.0005, 0.005, 0.001, 0.01)),
+}
+TRAINED, UNSEEN = 5, 10
 
 
 @dataclass(frozen=True)
 class Kind:
-    """What differs between runs.
-
-    Args:
-        system: Machine.
-        effect: Name of what should be found.
-        least, most: Size of a difference; where it is relative, of the logarithm.
-        relative: Whether it is a factor.
-        beside: What is found with it.
-    """
+    """What differs between runs."""
 
     system: str
-    effect: str
-    least: float = 0.0
+    effect: str  # name of what should be found
+    least: float = 0.0  # size of a difference; where it is relative, of the logarithm
     most: float = 0.0
-    relative: bool = False
-    beside: frozenset[str] = frozenset()
+    relative: bool = False  # whether it is a factor
+    beside: frozenset[str] = frozenset()  # what is found with it
 
 
 FRICTION = "run_difference[coulomb_friction{}/size]"
@@ -70,6 +65,7 @@ KINDS: dict[str, Kind] = {
         CART, FRICTION.format("[cart]"), 0.1, 0.5, beside=frozenset({"coulomb_friction[cart]"})
     ),
 }
+NAMES = list(KINDS)
 
 
 @dataclass(frozen=True)
@@ -84,43 +80,44 @@ class Made:
     """Of `within`: when each run changes [s]; machines, values and zeros are then those before and after, by turns."""
 
 
+def _made(kind: Kind, by: Any, moments: tuple[float, ...] = ()) -> Made:
+    """Runs of a machine that differ by so much, or by a factor of which this is the logarithm."""
+    parts = [
+        changed(MACHINES[kind.system], kind.effect, float(np.exp(v)) if kind.relative else v) for v in by
+    ]
+    machines, each, zeros = zip(*parts, strict=True)
+    return Made(kind, each, machines, zeros, moments)
+
+
 def made(name: str, seed: int) -> Made:
     """Draw the machines of the runs of a case."""
     kind = KINDS[name]
-    rng = np.random.default_rng([seed, list(KINDS).index(name)])
-    count, system = int(rng.integers(3, 7)), kind.system
+    rng = np.random.default_rng([seed, NAMES.index(name)])
+    count = int(rng.integers(3, 7))
     sizes = np.exp(rng.uniform(np.log(max(kind.least, 1e-9)), np.log(max(kind.most, 1e-9)), count))
     signs = rng.choice((-1.0, 1.0), count)
     alone = np.arange(count) == rng.integers(count) if rng.random() < 1 / 3 else np.ones(count, dtype=bool)
     change = np.where(alone, signs * sizes, 0.0) if kind.effect else np.zeros(count)
-    if "friction" in kind.effect and "viscous" not in kind.effect:
-        change = abs(change)
-    machine = Small(system, dict(VALUES[system]), {}, NOISE[system])
-    machines, each, zeros = [], [], []
-    for value in change.tolist():
-        one, is_now, zero = changed(machine, kind.effect, float(np.exp(value)) if kind.relative else value)
-        machines.append(one)
-        each.append(is_now)
-        zeros.append(zero)
-    return Made(kind, tuple(each), tuple(machines), tuple(zeros))
+    return _made(kind, (abs(change) if "coulomb" in kind.effect else change).tolist())
+
+
+def unseen(name: str, seed: int) -> Made:
+    """Draw the machines of runs of which some train and some are not seen."""
+    kind = KINDS[name]
+    rng = np.random.default_rng([seed, 7, NAMES.index(name)])
+    change = rng.normal(0.0, np.sqrt(kind.least * kind.most), TRAINED + UNSEEN)
+    return _made(kind, (abs(change) if "coulomb" in kind.effect else change).tolist())
 
 
 def within(name: str, seed: int) -> Made:
     """Draw the machines of runs that change at a moment."""
     kind = KINDS[name]
-    rng = np.random.default_rng([seed, list(KINDS).index(name), 3])
+    rng = np.random.default_rng([seed, NAMES.index(name), 3])
     count, alone = ((1, True), (2, True), (2, False))[rng.integers(3)]
     size = float(np.exp(rng.uniform(np.log(max(kind.least, 0.05)), np.log(max(kind.most, 0.1)))))
     size *= 1.0 if "coulomb" in kind.effect else float(rng.choice((-1.0, 1.0)))
-    moments = [float(rng.uniform(8.0, 22.0)) for _ in range(count)]
-    machine = Small(kind.system, dict(VALUES[kind.system]), {}, NOISE[kind.system])
-    parts = []
-    for r in range(count):
-        differs = size if kind.effect and not (alone and r) else 0.0
-        for by in (0.0, differs):
-            parts.append(changed(machine, kind.effect, float(np.exp(by)) if kind.relative else by))
-    machines, each, zeros = zip(*parts, strict=True)
-    return Made(kind, each, machines, zeros, tuple(moments))
+    moments = tuple(float(rng.uniform(8.0, 22.0)) for _ in range(count))
+    return _made(kind, [v for r in range(count) for v in (0.0, size if not (alone and r) else 0.0)], moments)
 
 
 def changed(machine: Small, effect: str, by: float) -> tuple[Small, float, float]:
@@ -137,73 +134,63 @@ def changed(machine: Small, effect: str, by: float) -> tuple[Small, float, float
     if "mass" in effect:
         light = "kbg" if machine.system == SPRING else "gs"
         return replace(machine, values={k: v / by if k in light else v for k, v in values.items()}), by, 0.0
-    key = {"gain": "g", "stiffness": "k", "damping": "b", "length": "l"}[
-        effect.rpartition("/")[2].rstrip("]").split("_")[-1]
-    ]
+    last = effect.rpartition("/")[2].rstrip("]").split("_")[-1]
+    key = {"gain": "g", "stiffness": "k", "damping": "b", "length": "l"}[last]
     return replace(machine, values={**values, key: values[key] * by}), values[key] * by, 0.0
 
 
 def write(case: Made, folder: Path, seed: int, seconds: float = 12.0) -> None:
     """Write the runs of a case as CSV files."""
-    folder.mkdir(parents=True, exist_ok=True)
+    names = columns(case.kind.system)
     for r, moment in enumerate(case.moments):
         before, after = case.machines[2 * r : 2 * r + 2]
         t, y, u = run(before, 30.0, 0.01, 1009 * seed + r, after, moment)
         if any(case.zeros):
             y[:, 2] += np.where(t < moment, *case.zeros[2 * r : 2 * r + 2])
-        save(folder / f"run_{r}.csv", ("t", *STATES[before.system], "force"), [t + 100 * r, y, u], "%.7f")
+        save(folder / f"run_{r}.csv", names, [t + 100 * r, y, u], "%.7f")
     for r, machine in enumerate(() if case.moments else case.machines):
         t, y, u = run(machine, seconds, 0.01, seed=1009 * seed + r)
         if case.zeros[r]:
             y[:, 2] += case.zeros[r]
-        columns = ("t", *STATES[machine.system], "force")
-        save(folder / f"run_{r}.csv", columns, [t + 100 * r, y, u], "%.7f")
+        save(folder / f"run_{r}.csv", names, [t + 100 * r, y, u], "%.7f")
 
 
-def diagnosed(name: str, seed: int, keep: Path | None = None, draw: Draw = made) -> Json:
+def answer_of(draw: Callable[[str, int], Made], keep: Path | None, name: str, seed: int) -> Json:
     """Simulate a case and diagnose it; its runs are kept in a folder, if asked for."""
-    import torch
-
-    import nsde_torch
-
-    torch.set_num_threads(1)
     case = draw(name, seed)
     with tempfile.TemporaryDirectory() as temporary:
         folder = (keep or Path(temporary)) / f"{name.replace(': ', '_')}_{seed}"
         write(case, folder, seed)
-        start = time.perf_counter()
-        found = nsde_torch.diagnose(folder, system=case.kind.system, say=False)
+        found, answer = diagnosed(folder, case.kind.system, say=False)
     content = found.content()
     sure = {f["name"] for f in content["findings"] if not f["lead"]}
     named = {f["name"] for f in content["findings"]}
     wanted = {case.kind.effect, *case.kind.beside} - {""}
-    held = [
-        _holds(p, case)
-        for k, p in content["parameters"].items()
-        if k.startswith(f"{case.kind.effect}.") and "run" in p
+    own = [
+        p
+        for k, p in answer["parameters"].items()
+        if k.startswith(f"{case.kind.effect}.") and p.get("run") and p["interval_90"]
     ]
     moments = [(case.moments[int(run[4:])], *times) for run, times in content["data"]["moments"].items()]
     return {
         "moments": [[round(v % 100, 2) for v in times] for times in moments],
         "kind": name,
         "seed": seed,
-        "verdict": content["verdict"],
+        "verdict": answer["verdict"],
         "each": [round(v, 4) for v in case.each],
         "found": sorted(named),
         "leads": sorted(named - sure),
         "exact": sure == named == wanted,
         "right": case.kind.effect in sure or not wanted,
         "wrong": sorted(sure - wanted),
-        "held": sum(h for h in held if h is not None),
-        "intervals": sum(h is not None for h in held),
-        "seconds": round(time.perf_counter() - start, 1),
+        "held": sum(_holds(p, case) for p in own),
+        "intervals": len(own),
+        "seconds": answer["seconds"],
     }
 
 
-def _holds(p: Mapping[str, Any], case: Made) -> bool | None:
-    """Whether an interval holds the true number of its run; None where there is none."""
-    if p["interval_90"] is None:
-        return None
+def _holds(p: Mapping[str, Any], case: Made) -> bool:
+    """Whether an interval holds the true number of its run."""
     of = {f"run_{r}": value for r, value in enumerate(case.each)}
     if case.moments:
         of = {f"run_{k // 2} {('before', 'from')[k % 2]}": value for k, value in enumerate(case.each)}
@@ -217,7 +204,6 @@ def _holds(p: Mapping[str, Any], case: Made) -> bool | None:
 
 
 def line(answer: Json) -> str:
-    """A line for an answer."""
     if "error" in answer:
         return f"{answer['kind']} {answer['seed']}: {answer['error']}"
     leads = f"; leads {', '.join(answer['leads'])}" if answer["leads"] else ""
@@ -229,32 +215,77 @@ def line(answer: Json) -> str:
     )
 
 
-def main() -> None:
-    """Diagnose cases, print a line for each, and the counts."""
-    names = list(KINDS)
-    parser = options(__doc__ or "", count=len(names))
-    parser.add_argument("--keep", type=Path, default=None, help="folder that the runs are kept in")
-    parser.add_argument("--within", action="store_true", help="let runs change at a moment")
-    given = parser.parse_args()
-    draw = within if given.within else made
-    cases = []
-    for i in range(given.first, given.first + given.count):
-        name, seed = names[i % len(names)], given.seed + i // len(names)
-        wrong = {"kind": name, "seed": seed, "found": [], "exact": False, "right": False, "wrong": []}
-        wrong |= {"held": 0, "intervals": 0}
-        cases.append(
-            (f"{name.replace(': ', '_')}_{seed}", partial(diagnosed, name, seed, given.keep, draw), wrong)
-        )
-    rows = answers(given.out, cases, line)
+def table(rows: list[Json]) -> str:
     some = [r for r in rows if KINDS[r["kind"]].effect]
     nulls = [r for r in rows if not KINDS[r["kind"]].effect]
-    held, count = (sum(r[k] for r in some) for k in ("held", "intervals"))
-    exact, right = (sum(r[k] for r in some) for k in ("exact", "right"))
-    print(
+    exact, right, held, count = (sum(r[k] for r in some) for k in ("exact", "right", "held", "intervals"))
+    return (
         f"\nnamed and nothing else {exact} of {len(some)}, named {right}; nothing named of nulls "
         f"{sum(not r['found'] for r in nulls)} of {len(nulls)}; surely wrong "
         f"{sum(bool(r['wrong']) for r in rows)}; intervals that hold {held} of {count}"
     )
+
+
+# ---- runs that a trained model has not seen ------------------------------------------------------------
+
+
+def trained(name: str, seed: int) -> Json:
+    """Simulate a case, train on the first runs, and score the others."""
+    import nsde_torch
+
+    case = unseen(name, seed)
+    with tempfile.TemporaryDirectory() as temporary:
+        write(case, Path(temporary), seed)
+        test = [f"run_{r}" for r in range(TRAINED, TRAINED + UNSEEN)]
+        metrics = nsde_torch.train(temporary, system=case.kind.system, test=test, say=False).metrics
+    coverage = metrics["test"]["coverage"]["0.9"]
+    horizons = sorted({h for by in coverage.values() for h in by}, key=float)
+    return {
+        "kind": name,
+        "seed": seed,
+        "each": [round(v, 4) for v in case.each],
+        "found": {k: v["std"] for k, v in metrics.get("between_runs", {}).items()},
+        "networks": {k: v["variables"] for k, v in metrics["innovations"]["networks"].items() if v["kept"]},
+        "factor": metrics["calibration"]["factor"],
+        "coverage": {h: float(np.mean([by[h] for by in coverage.values()])) for h in horizons},
+        "nll": float(np.mean([v for by in metrics["test"]["nll"].values() for v in by.values()])),
+    }
+
+
+def line_of_trained(answer: Json) -> str:
+    if "error" in answer:
+        return f"{answer['kind']} {answer['seed']}: {answer['error']}"
+    held = ", ".join(f"{h} s {share:.0%}" for h, share in answer["coverage"].items())
+    learned = "; ".join(f"{k}: {', '.join(v)}" for k, v in answer["networks"].items())
+    return (
+        f"{answer['kind']:18} {answer['seed']} {held}; differs: {', '.join(answer['found']) or 'nothing'}; sigma times "
+        f"{answer['factor']:.2f}; {answer['nll']:.2f} nats" + (f"; networks of {learned}" if learned else "")
+    )
+
+
+def table_of_trained(rows: list[Json]) -> str:
+    horizons = sorted({h for r in rows for h in r["coverage"]}, key=float)
+    means = {h: [r["coverage"][h] for r in rows if h in r["coverage"]] for h in horizons}
+    text = ", ".join(f"{h} s {np.mean(v):.1%}" for h, v in means.items())
+    share = np.mean([0.8 <= v <= 0.97 for of in means.values() for v in of])
+    return (
+        f"\nmean coverage of {len(rows)} cases: {text}; between 80 and 97 % in {share:.0%} of their horizons"
+    )
+
+
+def main() -> None:
+    parser = options(__doc__, "seed", "out", first=0, count=len(NAMES))
+    parser.add_argument("--keep", type=Path, default=None, help="folder that the runs are kept in")
+    parser.add_argument("--within", action="store_true", help="let runs change at a moment")
+    parser.add_argument("--unseen", action="store_true", help="train, and score runs that were not seen")
+    a = parser.parse_args()
+    if a.unseen:
+        cases = in_turn(a, NAMES, trained, coverage={}, found={}, networks={})
+        print(table_of_trained(answers(a.out, cases, line_of_trained)))
+        return
+    make = partial(answer_of, within if a.within else made, a.keep)
+    wrong: Json = {"found": [], "exact": False, "right": False, "wrong": [], "held": 0, "intervals": 0}
+    print(table(answers(a.out, in_turn(a, NAMES, make, **wrong), line)))
 
 
 if __name__ == "__main__":

@@ -34,19 +34,12 @@ TIMES: dict[str, tuple[float, float]] = {
 
 @dataclass(frozen=True)
 class Nominal:
-    """Runs of a machine with its declared physics alone, all rows together.
+    """Runs of a machine with its declared physics alone, all rows together."""
 
-    Args:
-        system: The machine.
-        t: Times (N,) [s].
-        x: States (N, nx).
-        u: Inputs and the battery's voltage (N, nu + 1), or inputs (N, nu).
-    """
-
-    system: System
-    t: Tensor
-    x: Tensor
-    u: Tensor
+    system: System  # the machine
+    t: Tensor  # times (N,) [s]
+    x: Tensor  # states (N, nx)
+    u: Tensor  # inputs and the battery's voltage (N, nu + 1), or inputs (N, nu)
 
     def size(self, column: int) -> float:
         """95 % quantile of the absolute value of a state."""

@@ -1,47 +1,80 @@
-"""Springs and carts of the broken-log study: simulators of their own, in NumPy, that share no code with `nsde_torch`.
+"""Springs and carts in plain Python, which share no code with `nsde_torch`, and what encoders and users make of them.
 
     spring    q'' = -k q - b v + g u + what a case holds                                 (over mass)
-    cart      a = u / M + s l w^2 sin(theta) + what a case holds,   s = m / M
+    cart      a = g u + s l w^2 sin(theta) + what a case holds,   s = m / M
               w' = (G sin(theta) - a cos(theta)) / (l (4/3 - s cos(theta)^2)),   x'' = a - s l w' cos(theta)
               (Barto, Sutton and Anderson, IEEE Transactions on Systems, Man, and Cybernetics 13 (1983))
 
-by Runge-Kutta 4 at a fraction of the log's step, inputs held over a row. Forces are sums of sines and steps; that of
-the cart also holds it near the middle by what the log measures.
+by Runge-Kutta 4 at a fraction of the log's step, inputs held over a row; gusts are white. Runs of a `Small` have a
+force of sines and steps, and that of the cart also holds it near the middle by what the log measures; those of `spring`
+and `cart` have sums of sines.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from math import cos, pi, sin, sqrt, tanh
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.signal import butter, lfilter, savgol_filter
+from study import STATES, Array
 
-Array = NDArray[np.float64]
 G = 9.8
-STATES = {"mass_spring_damper": ("q", "q_dot"), "cartpole": ("x", "x_dot", "theta", "theta_dot")}
-FRICTION = ("coulomb", "quadratic", "hardening")
+Law = Callable[[float, float], float]
+"""A force over mass, of position and speed."""
+RATES = ("none", "gradient", "backward", "savgol", "butterworth")
+EFFECTS: dict[str, Callable[[float, float, float], float]] = {
+    "coulomb": lambda size, q, v: -size * tanh(v / 0.01),
+    "quadratic": lambda size, q, v: -size * abs(v) * v,
+    "hardening": lambda size, q, v: -size * q**3,
+    "damping_by_place": lambda size, q, v: -size * q * q * v,
+    "slope": lambda size, q, v: -size * sin(2.0 * q),
+}
+"""Forces of their size, the position and the speed."""
+
+
+def rate(
+    system: str, p: dict[str, float], y: Sequence[float], u: float, own: float, torque: float
+) -> list[float]:
+    """Derivatives of the states under an input, a force and an angular acceleration."""
+    if system == "mass_spring_damper":
+        return [y[1], -p["k"] * y[0] - p["b"] * y[1] + p["g"] * u + own]
+    s, c, w = sin(y[2]), cos(y[2]), y[3]
+    a = p["g"] * u + p["s"] * p["l"] * w * w * s + own
+    turn = (G * s - a * c) / (p["l"] * (4 / 3 - p["s"] * c * c)) + torque
+    return [y[1], a - p["s"] * p["l"] * turn * c, w, turn]
+
+
+def step(rates: Callable[[Sequence[Any]], Sequence[Any]], y: Sequence[Any], h: float) -> list[Any]:
+    """One step of Runge and Kutta; states are numbers, or rows of them."""
+    k1 = rates(y)
+    k2 = rates([a + 0.5 * h * b for a, b in zip(y, k1, strict=True)])
+    k3 = rates([a + 0.5 * h * b for a, b in zip(y, k2, strict=True)])
+    k4 = rates([a + h * b for a, b in zip(y, k3, strict=True)])
+    return [a + h / 6 * (b + 2 * c + 2 * d + e) for a, b, c, d, e in zip(y, k1, k2, k3, k4, strict=True)]
 
 
 @dataclass(frozen=True)
 class Small:
-    """A spring or a cart.
+    """A spring or a cart."""
 
-    Args:
-        system: `mass_spring_damper` or `cartpole`.
-        values: Its parameters by the names above.
-        effects: What it holds beside.
-        noise: Standard deviations of its sensors.
-        gust: White force or torque, by the root of a second [m/s1.5].
-        steady: A force on the spring or the cart that never changes [m/s2].
-    """
+    system: str  # `mass_spring_damper` or `cartpole`
+    values: dict[str, float]  # its parameters by the names above
+    effects: dict[str, dict[str, Any]] = field(
+        default_factory=dict
+    )  # sizes of `EFFECTS` that it holds beside
+    noise: tuple[float, ...] = ()  # standard deviations of its sensors
+    gust: float = 0.02  # white force and angular acceleration, by the root of a second [m/s1.5]
+    steady: float = 0.0  # a force that never changes [m/s2]
+    law: Callable[[Sequence[float], float], tuple[float, float]] = lambda y, u: (0.0, 0.0)
+    """A further force and angular acceleration, of states and input."""
 
-    system: str
-    values: dict[str, float]
-    effects: dict[str, dict[str, Any]] = field(default_factory=dict)
-    noise: tuple[float, ...] = ()
-    gust: float = 0.02
-    steady: float = 0.0
+    def rate(self, y: Sequence[float], u: float, white: Array) -> list[float]:
+        force, torque = self.law(y, u)
+        own = sum(EFFECTS[name](e["size"], y[0], y[1]) for name, e in self.effects.items())
+        return rate(self.system, self.values, y, u, white[0] + self.steady + own + force, white[1] + torque)
 
 
 def small(system: str, rng: np.random.Generator, effect: bool) -> Small:
@@ -49,12 +82,11 @@ def small(system: str, rng: np.random.Generator, effect: bool) -> Small:
     level = float(rng.uniform(0.5, 1.5))
     if system == "mass_spring_damper":
         values = {"k": rng.uniform(0.6, 8.0), "b": rng.uniform(0.2, 1.0), "g": rng.uniform(0.5, 2.0)}
-        noise: tuple[float, ...] = (0.004, 0.01)
-        names: tuple[str, ...] = FRICTION
+        noise, names = (0.004, 0.01), ("coulomb", "quadratic", "hardening")
     else:
         values = {"g": rng.uniform(0.6, 1.3), "s": rng.uniform(0.06, 0.25), "l": rng.uniform(0.25, 0.7)}
-        noise, names = (0.004, 0.01, 0.01, 0.03), FRICTION[:2]
-    held: dict[str, dict[str, Any]] = {}
+        noise, names = (0.004, 0.01, 0.01, 0.03), ("coulomb", "quadratic")
+    held = {}
     if effect:
         held = {str(rng.choice(names)): {"size": float(np.exp(rng.uniform(np.log(0.08), np.log(0.4))))}}
     return Small(system, {k: float(v) for k, v in values.items()}, held, tuple(level * n for n in noise))
@@ -68,12 +100,9 @@ def run(
     t = dt * np.arange(round(seconds / dt) + 1)
     cart = machine.system == "cartpole"
     push = 5.0 * _signal(t, rng, (0.1, 2.0)) if cart else 2.0 * _signal(t, rng, (0.05, 2.5))
-    y = np.zeros(len(STATES[machine.system]))
-    if cart:
-        y[2] = np.pi + rng.uniform(-1.0, 1.0)
+    y = [0.0, 0.0, pi + rng.uniform(-1.0, 1.0), 0.0] if cart else [0.0, 0.0]
     fine = max(1, int(np.ceil(dt / 0.005)))
-    h = dt / fine
-    noise = np.array(machine.noise)
+    h, noise = dt / fine, np.array(machine.noise)
     rows, forces = np.empty((len(t), len(y))), np.empty((len(t), 1))
     for k in range(len(t)):
         if then is not None and t[k] >= moment:
@@ -82,12 +111,14 @@ def run(
         u = push[k] - (4.0 * rows[k, 0] + 3.0 * rows[k, 1]) / machine.values["g"] if cart else push[k]
         forces[k] = u
         for _ in range(fine):
-            white = machine.gust * rng.standard_normal(2) / np.sqrt(h)
-            k1 = _rate(machine, y, u, white)
-            k2 = _rate(machine, y + 0.5 * h * k1, u, white)
-            k3 = _rate(machine, y + 0.5 * h * k2, u, white)
-            y = y + h / 6 * (k1 + 2 * k2 + 2 * k3 + _rate(machine, y + h * k3, u, white))
+            white = machine.gust * rng.standard_normal(2) / sqrt(h)
+            y = step(lambda y, m=machine, u=u, white=white: m.rate(y, u, white), y, h)
     return t, rows, forces
+
+
+def columns(system: str) -> tuple[str, ...]:
+    """Names of the columns of a log."""
+    return "t", *STATES[system], "force"
 
 
 def _signal(t: Array, rng: np.random.Generator, band: tuple[float, float]) -> Array:
@@ -98,23 +129,67 @@ def _signal(t: Array, rng: np.random.Generator, band: tuple[float, float]) -> Ar
     return np.asarray(out + rng.choice((-0.6, 0.0, 0.6), len(edges))[np.searchsorted(edges, t)])
 
 
-def _rate(machine: Small, y: Array, u: float, white: Array) -> Array:
-    p, v = machine.values, y[1]
-    own = white[0] + machine.steady
-    for name, e in machine.effects.items():
-        if name == "coulomb":
-            own -= e["size"] * np.tanh(v / 0.01)
-        elif name == "quadratic":
-            own -= e["size"] * abs(v) * v
-        elif name == "damping_by_place":
-            own -= e["size"] * y[0] ** 2 * v
-        elif name == "slope":
-            own -= e["size"] * np.sin(2.0 * y[0])
-        else:
-            own -= e["size"] * y[0] ** 3
-    if machine.system == "mass_spring_damper":
-        return np.array([v, -p["k"] * y[0] - p["b"] * v + p["g"] * u + own])
-    sin, cos, w = np.sin(y[2]), np.cos(y[2]), y[3]
-    a = p["g"] * u + p["s"] * p["l"] * w * w * sin + own
-    turn = (G * sin - a * cos) / (p["l"] * (4 / 3 - p["s"] * cos * cos)) + white[1]
-    return np.array([v, a - p["s"] * p["l"] * turn * cos, w, turn])
+# ---- runs whose position alone is measured -------------------------------------------------------------
+
+
+def rates(q: Array, dt: float, how: str) -> Array:
+    """Rates that a user makes of a position column (n,)."""
+    if how == "gradient":
+        return np.asarray(np.gradient(q, dt))
+    if how == "backward":
+        return np.diff(q, prepend=q[0]) / dt
+    if how == "savgol":
+        return np.asarray(savgol_filter(q, 11, 3, deriv=1, delta=dt))
+    b, a = butter(2, 10.0 * 2.0 * dt)
+    return np.asarray(lfilter(b, a, np.gradient(q, dt)))
+
+
+def measured(q: Array, noise: float, counts: bool, rng: np.random.Generator) -> Array:
+    """An encoder's reading: white noise of this size, or steps that round by as much (root mean square)."""
+    if not counts:
+        return np.asarray(q + noise * rng.standard_normal(q.shape))
+    grain = noise * np.sqrt(12.0)
+    return np.asarray(np.round(q / grain) * grain)
+
+
+def sums_of_sines(t: Array, size: float, rng: np.random.Generator, low: float, high: float) -> Array:
+    """A force (n,) of this standard deviation."""
+    hertz = np.exp(rng.uniform(np.log(low), np.log(high), 8))
+    phase = rng.uniform(0.0, 2.0 * np.pi, 8)
+    return np.asarray(size / 2.0 * np.sin(2.0 * np.pi * hertz * t[:, None] + phase).sum(1))
+
+
+def spring(values: dict[str, float], law: Law, **how: Any) -> tuple[Array, Array]:
+    """True states (n, 2) and forces (n, 1); see `_true`."""
+    return _true("mass_spring_damper", values, law, **how)
+
+
+def cart(values: dict[str, float], law: Law, **how: Any) -> tuple[Array, Array]:
+    """True states (n, 4) and forces (n, 1); the pole hangs."""
+    return _true("cartpole", values, law, **how)
+
+
+def _true(
+    system: str,
+    values: dict[str, float],
+    law: Law,
+    *,
+    seconds: float,
+    dt: float,
+    gust: float,
+    rng: np.random.Generator,
+) -> tuple[Array, Array]:
+    cart = system == "cartpole"
+    t = dt * np.arange(round(seconds / dt))
+    u = sums_of_sines(t, values["force"], rng, 0.15 if cart else 0.08, 1.5)
+    y = [0.0, 0.0, pi + rng.uniform(-0.6, 0.6), 0.0] if cart else [0.0, 0.0]
+    fine = max(1, int(np.ceil(dt / 0.002)))
+    h, out = dt / fine, np.empty((len(t), len(y)))
+    for n, push in enumerate(u.tolist()):
+        out[n] = y
+        for _ in range(fine):
+            white = gust * rng.standard_normal() / sqrt(h)
+            y = step(
+                lambda y, u=push, white=white: rate(system, values, y, u, white + law(y[0], y[1]), 0.0), y, h
+            )
+    return out, u[:, None]

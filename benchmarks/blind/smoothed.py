@@ -14,20 +14,15 @@ in the same way, diagnosed and judged by `closed_loop_run.py --cases smooth/`.
 
 from __future__ import annotations
 
-import argparse
-import json
 import shutil
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from study import Json, answered, holds, labelled, markdown, options, read_json, save, write_json
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
+sys.path.append(str(Path(__file__).resolve().parents[1]))
 from bench_smoothed_states import FILTERS
-from study import holds, labelled, save
 
 from nsde_torch.systems import make_system
 
@@ -39,7 +34,7 @@ def smooth(cases: Path, out: Path, seed: int) -> int:
     rng = np.random.default_rng(seed)
     count = 0
     for path in sorted((cases / "truth").glob("case_*.json")):
-        truth = json.loads(path.read_text(encoding="utf-8"))
+        truth = read_json(path)
         if "case" in truth and truth["case"]["kind"] not in KINDS:
             continue
         name = str(rng.choice(list(FILTERS)))
@@ -50,7 +45,6 @@ def smooth(cases: Path, out: Path, seed: int) -> int:
         truth["smoother"] = {"name": name, "cut_hz": cut, "spared": spared}
         for file in sorted((cases / "data" / path.stem).glob("*.csv")):
             target = out / "data" / path.stem / file.name
-            target.parent.mkdir(parents=True, exist_ok=True)
             header = file.read_text(encoding="utf-8").partition("\n")[0].strip().split(",")
             rows = np.loadtxt(file, delimiter=",", skiprows=1)
             states = [header.index(s) for s in system.state_names if s not in spared]
@@ -59,23 +53,22 @@ def smooth(cases: Path, out: Path, seed: int) -> int:
                 q = [header.index(s) for s in system.state_names[system.quaternion]]
                 rows[:, q] /= np.linalg.norm(rows[:, q], axis=1, keepdims=True)
             save(target, header, [rows])
-        (out / "truth").mkdir(parents=True, exist_ok=True)
-        (out / "truth" / path.name).write_text(json.dumps(truth, indent=1), encoding="utf-8")
+        write_json(out / "truth" / path.name, truth)
         count += 1
     return count
 
 
-def _sure(answer: dict[str, Any]) -> list[str]:
+def _sure(answer: Json) -> list[str]:
     """What is named and is no lead."""
     leads = {f["name"] for f in answer["findings"] if f["lead"]}
     return [name for name in answer["added"] if name not in leads]
 
 
-def _right(truth: dict[str, Any], answer: dict[str, Any]) -> bool:
+def _right(truth: Json, answer: Json) -> bool:
     return sorted(answer["added"]) == sorted(truth["effects"])
 
 
-def _wrong(truth: dict[str, Any], answer: dict[str, Any]) -> list[str]:
+def _wrong(truth: Json, answer: Json) -> list[str]:
     """What is named for sure beyond the truth, and is no member of a tie with it."""
     tied = {
         n for t in answer.get("ties", []) if set(t["effects"]) & set(truth["effects"]) for n in t["effects"]
@@ -83,7 +76,7 @@ def _wrong(truth: dict[str, Any], answer: dict[str, Any]) -> list[str]:
     return [n for n in _sure(answer) if n not in truth["effects"] and n not in tied]
 
 
-def _off(truth: dict[str, Any], answer: dict[str, Any]) -> list[str]:
+def _off(truth: Json, answer: Json) -> list[str]:
     """Parameters of the true effects that are wrong by 5 % and more, and whose intervals do not hold."""
     out = []
     for label, v in labelled({effect: of["parameters"] for effect, of in truth["effects"].items()}):
@@ -95,22 +88,17 @@ def _off(truth: dict[str, Any], answer: dict[str, Any]) -> list[str]:
 
 def judge(cases: Path, out: Path) -> str:
     """A table of raw and smoothed answers."""
-    rows = [
-        "| case | system | true | smoother | raw | smoothed | wrong values |",
-        "|---|---|---|---|---|---|---|",
-    ]
+    rows = []
     same = named = raw_named = silent = nulls = 0
     wrong: list[str] = []
-    for path in sorted((out / "answers").glob("case_*.json")):
-        raw_path = cases / "answers" / path.name
+    for name, truth, answer in answered(out):
+        raw_path = cases / "answers" / f"{name}.json"
         if not raw_path.is_file():
             continue
-        truth = json.loads((out / "truth" / path.name).read_text(encoding="utf-8"))
-        key = make_system(truth["system"]).effect_key
-        truth["effects"] = {key(name): held for name, held in truth["effects"].items()}
-        raw, answer = (json.loads(p.read_text(encoding="utf-8")) for p in (raw_path, path))
+        key, raw = make_system(truth["system"]).effect_key, read_json(raw_path)
+        truth["effects"] = {key(effect): held for effect, held in truth["effects"].items()}
         for one in (raw, answer):
-            one["added"] = [key(name) for name in one["added"]]
+            one["added"] = [key(effect) for effect in one["added"]]
             one["findings"] = [{**f, "name": key(f["name"])} for f in one["findings"]]
         if truth["effects"]:
             raw_named += _right(truth, raw)
@@ -121,37 +109,26 @@ def judge(cases: Path, out: Path) -> str:
         same += raw["added"] == answer["added"]
         off = _off(truth, answer)
         if _wrong(truth, answer) or off:
-            wrong.append(path.stem)
+            wrong.append(name)
         told = [
             ", ".join(n if n in _sure(a) else f"({n})" for n in a["added"]) or a["verdict"]
             for a in (raw, answer)
         ]
         true = ", ".join(truth["effects"]) or "nothing"
         through = f"{truth['smoother']['name']} {truth['smoother']['cut_hz']:.1f} Hz"
-        rows.append(
-            f"| {path.stem} | {truth['system']} | {true} | {through} | {told[0]} | {told[1]} | {', '.join(off)} |"
-        )
-    count = len(rows) - 2
-    return "\n".join(
-        [
-            *rows,
-            "",
-            f"{count} cases; {same} with the same answer. Of {raw_named} effects that the raw log names alone, {named} "
-            f"are named alone behind the smoother; of {nulls} silent nulls {silent} stay silent. Something found for "
-            f"sure (no lead) that is not there, or a value off by 5 % outside its interval: {len(wrong)} "
-            f"({', '.join(wrong)})",
-        ]
+        rows.append((name, truth["system"], true, through, *told, ", ".join(off)))
+    head = ("case", "system", "true", "smoother", "raw", "smoothed", "wrong values")
+    said = (
+        f"{len(rows)} cases; {same} with the same answer. Of {raw_named} effects that the raw log names alone, {named} "
+        f"are named alone behind the smoother; of {nulls} silent nulls {silent} stay silent. Something found for "
+        f"sure (no lead) that is not there, or a value off by 5 % outside its interval: {len(wrong)} "
+        f"({', '.join(wrong)})"
     )
+    return "\n".join([*markdown(head, rows), "", said])
 
 
 def main() -> None:
-    """Smooth, or judge."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--cases", type=Path, required=True)
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--seed", type=int, default=5)
-    parser.add_argument("--judge", action="store_true")
-    given = parser.parse_args()
+    given = options(__doc__, "cases", "out", seed=5, judge=False).parse_args()
     if given.judge:
         print(judge(given.cases, given.out))
     else:

@@ -12,25 +12,20 @@ from __future__ import annotations
 
 import argparse
 import math
-import os
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-sys.path.insert(0, str(Path(__file__).resolve().parent))
+from typing import Any
 
 import numpy as np
 from closed_loop import STATES as FLYING
 from closed_loop import _machine
 from loop_flight import SENSORS, Flight, fly, measured
 from loop_machine import Bodies
-from numpy.typing import NDArray
-from small_machines import STATES, G, small
-from study import save
+from small_machines import columns, rate, small, step
+from study import Array, save
+from study import options as common
 
-Array = NDArray[np.float64]
 Signal = Callable[[Array, np.random.Generator], Array]
 RUNS, FINE = 3, 0.002
 SYSTEMS = ["mass_spring_damper", "cartpole", "quadrotor"]
@@ -143,17 +138,6 @@ def cases(seed: int, systems: list[str], repeats: int) -> list[Case]:
 # ---- springs and carts -----------------------------------------------------------------------------------
 
 
-def _rate(
-    system: str, p: dict[str, float], y: list[float], u: float, white: tuple[float, float]
-) -> list[float]:
-    if system == "mass_spring_damper":
-        return [y[1], -p["k"] * y[0] - p["b"] * y[1] + p["g"] * u + white[0]]
-    sin, cos, w = math.sin(y[2]), math.cos(y[2]), y[3]
-    a = p["g"] * u + p["s"] * p["l"] * w * w * sin + white[0]
-    turn = (G * sin - a * cos) / (p["l"] * (4 / 3 - p["s"] * cos * cos)) + white[1]
-    return [y[1], a - p["s"] * p["l"] * turn * cos, w, turn]
-
-
 def _run(
     case: Case, p: dict[str, float], gust: float, noise: Array, seconds: float, k: int
 ) -> tuple[Array, ...]:
@@ -184,12 +168,7 @@ def _run(
         size = gust / math.sqrt(h) if t[i] >= rest else 0.0
         for _ in range(fine):
             white = (size * rng.standard_normal(), size * rng.standard_normal())
-            parts = [_rate(case.system, p, y, u, white)]
-            for step in (0.5 * h, 0.5 * h, h):
-                parts.append(
-                    _rate(case.system, p, [a + step * b for a, b in zip(y, parts[-1], strict=True)], u, white)
-                )
-            y = [a + h / 6 * (b + 2 * c + 2 * d + e) for a, b, c, d, e in zip(y, *parts, strict=True)]
+            y = step(lambda y, u=u, white=white: rate(case.system, p, y, u, *white), y, h)
     return t, rows, forces
 
 
@@ -283,32 +262,24 @@ def write(case: Case, folder: Path) -> None:
     """Three runs as CSV files."""
     flying = case.system == "quadrotor"
     runs, noise = (_flights(case), SENSORS) if flying else _small(case)
-    names = ["t", *FLYING, "u_1", "u_2", "u_3", "u_4"] if flying else ["t", *STATES[case.system], "force"]
-    part = folder / "data" / case.name
-    part.mkdir(parents=True, exist_ok=True)
+    names = ["t", *FLYING, "u_1", "u_2", "u_3", "u_4"] if flying else columns(case.system)
     for k, run in enumerate(runs):
         t, x, u = logged(case, *run, noise, k)
-        formats = [
-            "%.7g" if "jitter" in case.habits else "%.6g",
-            *[_format(case)] * (x.shape[1] + u.shape[1]),
-        ]
-        save(part / f"run_{k}.csv", names, [t, x, u], formats)
+        time = "%.7g" if "jitter" in case.habits else "%.6g"
+        formats = [time, *[_format(case)] * (x.shape[1] + u.shape[1])]
+        save(folder / "data" / case.name / f"run_{k}.csv", names, [t, x, u], formats)
 
 
-def options(description: str | None) -> argparse.ArgumentParser:
+def options(doc: str | None, **how: Any) -> argparse.ArgumentParser:
     """Seed, machines and number of the logs."""
-    parser = argparse.ArgumentParser(description=(description or "").splitlines()[0])
-    parser.add_argument("--seed", type=int, required=True, help="seed of the logs")
+    parser = common(doc, "seed", **how)
     parser.add_argument("--systems", nargs="+", default=SYSTEMS)
     parser.add_argument("--repeats", type=int, default=1, help="logs of each excitation and habit")
     return parser
 
 
 def main() -> None:
-    """Write the logs that are not there yet."""
-    parser = options(__doc__)
-    parser.add_argument("--out", type=Path, required=True, help="folder to write into")
-    given = parser.parse_args()
+    given = options(__doc__, out=Path("sound")).parse_args()
     for case in cases(given.seed, given.systems, given.repeats):
         if not (given.out / "data" / case.name / f"run_{RUNS - 1}.csv").is_file():
             write(case, given.out)

@@ -11,17 +11,13 @@ is a refusal.
 
 from __future__ import annotations
 
-import json
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import numpy as np
 from sound_logs import EXCITATIONS, FLIGHTS, HABITS, Case, cases, options
+from study import Json, markdown, read_json, write_json
 
 TRUE = {
     "3 decimals": {"quaternion_norm"},
@@ -35,7 +31,7 @@ BENIGN = {"rank_deficient_inputs", "interventions", "constant_input"}
 """Findings of what was asked for, no faults of a log."""
 
 
-def read(case: Case, folder: Path) -> dict[str, Any]:
+def read(case: Case, folder: Path) -> Json:
     """What reading says of one log."""
     import nsde_torch
     from nsde_torch.errors import NsdeError
@@ -50,7 +46,7 @@ def read(case: Case, folder: Path) -> dict[str, Any]:
     return {"found": found, "seconds": time.perf_counter() - started}
 
 
-def diagnose(case: Case, folder: Path) -> dict[str, Any]:
+def diagnose(case: Case, folder: Path) -> Json:
     """What a diagnosis says of one log of a machine that lacks nothing."""
     import nsde_torch
     from nsde_torch.errors import NsdeError
@@ -77,8 +73,8 @@ def _diagnose_some(plan: list[Case], folder: Path, count: int) -> None:
         for case in [of[i] for i in np.linspace(0, len(of) - 1, count).round().astype(int)]:
             path = folder / "answers" / f"{case.name}_diagnosis.json"
             if not path.is_file():
-                path.write_text(json.dumps(diagnose(case, folder)), encoding="utf-8")
-            said = json.loads(path.read_text(encoding="utf-8"))
+                write_json(path, diagnose(case, folder))
+            said = read_json(path)
             lag = "tacho" in case.habits and set(said["added"]) <= {"sensor_delay", "sensor_lag"}
             alarm = said["verdict"] != "no_effect" and not (lag and said["added"])
             false, total = false + bool(alarm), total + 1
@@ -97,12 +93,12 @@ def false_alarms(case: Case, found: list[tuple[str, str]]) -> list[tuple[str, st
 def table(plan: list[Case], folder: Path) -> str:
     """False alarms by system, habit and excitation."""
     answers = {
-        case: false_alarms(case, json.loads(path.read_text(encoding="utf-8"))["found"])
+        case: false_alarms(case, read_json(path)["found"])
         for case in plan
         if (path := folder / "answers" / f"{case.name}.json").is_file()
     }
     systems = list(dict.fromkeys(case.system for case in answers))
-    lines = ["| | " + " | ".join(systems) + " |", "|---|" + "---|" * len(systems)]
+    rows = []
 
     def row(name: str, of: Callable[[Case], bool]) -> None:
         cells = []
@@ -110,14 +106,14 @@ def table(plan: list[Case], folder: Path) -> str:
             some = [bool(alarms) for case, alarms in answers.items() if case.system == system and of(case)]
             cells.append(f"{sum(some)} of {len(some)}" if some else "")
         if any(cells):
-            lines.append(f"| {name} | " + " | ".join(cells) + " |")
+            rows.append([name, *cells])
 
     for habit in HABITS:
-        row(habit, lambda case, habit=habit: habit in case.habits)  # type: ignore[misc]
+        row(habit, lambda case, habit=habit: habit in case.habits)
     for excitation in (*EXCITATIONS, *FLIGHTS):
-        row(excitation, lambda case, e=excitation: case.excitation == e)  # type: ignore[misc]
+        row(excitation, lambda case, e=excitation: case.excitation == e)
     row("all", lambda case: True)
-    lines.append("")
+    lines = [*markdown(("", *systems), rows), ""]
     for case, alarms in answers.items():
         for kind, text in alarms:
             lines.append(
@@ -127,19 +123,13 @@ def table(plan: list[Case], folder: Path) -> str:
 
 
 def main() -> None:
-    """Read what was not read yet, and judge."""
-    parser = options(__doc__)
+    parser = options(__doc__, judge=False)
     parser.add_argument("--logs", type=Path, required=True, help="folder of sound_logs.py")
     parser.add_argument("--again", nargs="*", default=None, help="read these again; none named: all")
-    parser.add_argument("--judge", action="store_true", help="judge what is there")
-    parser.add_argument(
-        "--diagnose", type=int, default=0, help="so many logs of each system, instead of reading"
-    )
+    parser.add_argument("--diagnose", type=int, default=0, help="so many of each system, instead of reading")
     given = parser.parse_args()
-    plan = [
-        c for c in cases(given.seed, given.systems, given.repeats) if (given.logs / "data" / c.name).is_dir()
-    ]
-    (given.logs / "answers").mkdir(parents=True, exist_ok=True)
+    every = cases(given.seed, given.systems, given.repeats)
+    plan = [c for c in every if (given.logs / "data" / c.name).is_dir()]
     if given.diagnose:
         _diagnose_some(plan, given.logs, given.diagnose)
         return
@@ -149,7 +139,7 @@ def main() -> None:
         if answer.is_file() and not asked:
             continue
         said = read(case, given.logs)
-        answer.write_text(json.dumps(said), encoding="utf-8")
+        write_json(answer, said)
         alarms = [kind for kind, _ in false_alarms(case, said["found"])]
         told = f"{case.name} {case.excitation}, {'+'.join(case.habits)}"
         print(f"{told}: {alarms or 'silent'} {said['seconds']:.1f} s", flush=True)

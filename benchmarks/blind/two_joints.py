@@ -9,21 +9,18 @@ user's class beside it. Kinds in turn: one effect in one joint, one in each join
 from __future__ import annotations
 
 import sys
-import tempfile
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from study import Json, answers, held, inside, numbered, options, written
 
-MACHINE = Path(__file__).resolve().parents[2] / "examples" / "double_pendulum"
-sys.path[:0] = [str(Path(__file__).resolve().parent), str(MACHINE)]
-import make_data  # noqa: E402
-from study import Json, answers, held, options  # noqa: E402
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "examples" / "double_pendulum"))
+import make_data
 
+SYSTEM = "double_pendulum:DoublePendulum"
 KINDS = ("single", "pair", "single", "null")
-Array = np.ndarray
 Law = Callable[[float, float], float]
 
 
@@ -57,10 +54,8 @@ def drawn(seed: int, i: int) -> tuple[str, dict[str, dict[str, float]], make_dat
     make_data.MASS_1, make_data.MASS_2 = 1.0 * scale[0], 0.6 * scale[1]
     make_data.LENGTH_1, make_data.CENTRE_1 = 0.25 * scale[2], 0.12 * scale[2]
     make_data.CENTRE_2 = 0.14 * scale[3]
-    make_data.INERTIA_1, make_data.INERTIA_2 = (
-        0.012 * scale[0] * scale[2] ** 2,
-        0.006 * scale[1] * scale[3] ** 2,
-    )
+    make_data.INERTIA_1 = 0.012 * scale[0] * scale[2] ** 2
+    make_data.INERTIA_2 = 0.006 * scale[1] * scale[3] ** 2
     torque = (0.6 * scale[0] * scale[2], 0.15 * scale[1] * scale[3])
     make_data.TORQUE = torque
     kind = KINDS[i % len(KINDS)]
@@ -74,36 +69,21 @@ def drawn(seed: int, i: int) -> tuple[str, dict[str, dict[str, float]], make_dat
     return kind, truth, lambda q, w: np.array([push[0](q[0], w[0]), push[1](q[1], w[1])])
 
 
-def case(seed: int, i: int) -> dict[str, Any]:
+def case(seed: int, i: int) -> Json:
     """Make and diagnose one case."""
-    import torch
-
-    import nsde_torch
-
-    torch.set_num_threads(1)
     kind, truth, push = drawn(seed, i)
-    noise = (1.0, 0.3, 3.0)[i % 3]
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder)
-        make_data.write(path, push, seed=seed * 1000 + i, runs=4, seconds=12.0, noise=noise)
-        data = nsde_torch.read(path, system="double_pendulum:DoublePendulum")
-        found = nsde_torch.diagnose(data, system="double_pendulum:DoublePendulum")
-    content = found.content()
-    own = content["parameters"]
-    return {
-        "case": i,
-        "kind": kind,
-        "noise": noise,
-        "truth": truth,
-        "verdict": content["verdict"],
-        "added": content["added"],
-        "provisional": [f["effect"] for f in content["findings"] if f.get("provisional")],
-        "parameters": {k: [v["value"], v["interval_90"]] for k, v in own.items()},
-        "inside": held(truth, own),
+    how: dict[str, Any] = {
+        "seed": seed * 1000 + i,
+        "runs": 4,
+        "seconds": 12.0,
+        "noise": (1.0, 0.3, 3.0)[i % 3],
     }
+    _, _, answer = written(lambda folder: make_data.write(folder, push, **how), SYSTEM)
+    inside = held(truth, answer["parameters"])
+    return {"case": i, "kind": kind, "noise": how["noise"], "truth": truth, **answer, "inside": inside}
 
 
-def right(answer: dict[str, Any]) -> bool:
+def right(answer: Json) -> bool:
     """First named is true; of a pair, both are named and nothing else; nothing of a null."""
     truth, added = set(answer["truth"]), answer["added"]
     if answer["kind"] == "single":
@@ -111,29 +91,24 @@ def right(answer: dict[str, Any]) -> bool:
     return set(added) == truth
 
 
+def line(answer: Json) -> str:
+    answer["right"] = right(answer)
+    told = "right" if answer["right"] else "WRONG"
+    said = f"{list(answer['truth'])} -> {answer['added']} {answer['inside']} {answer.get('error', '')}"
+    return f"{answer['case']} {answer['kind']} {told} {said}"
+
+
 def main() -> None:
-    """Diagnoses cases one after another, and counts."""
-    a = options("Blind cases on two-joint machines.", count=20).parse_args()
-
-    def wrong(i: int) -> Json:
-        kind, truth = drawn(a.seed, i)[:2]
-        return {"case": i, "kind": kind, "truth": truth, "added": ["error"], "inside": [0, 0]}
-
-    def line(answer: Json) -> str:
-        answer["right"] = right(answer)
-        told = "right" if answer["right"] else "WRONG"
-        return (
-            f"{answer['case']} {answer['kind']} {told} {list(answer['truth'])} -> {answer['added']} "
-            f"{answer['inside']} {answer.get('error', '')}"
-        )
-
-    numbers = range(a.first, a.first + a.count)
-    cases = [(f"seed_{a.seed}_case_{i:03d}", partial(case, a.seed, i), wrong(i)) for i in numbers]
+    a = options(__doc__, "seed", "out", first=0, count=20).parse_args()
+    cases = [
+        (name, make, {**wrong, **dict(zip(("kind", "truth"), drawn(a.seed, wrong["case"])[:2], strict=True))})
+        for name, make, wrong in numbered(a, case, added=["error"], inside=[0, 0])
+    ]
     done = answers(a.out, cases, line)
     for kind in dict.fromkeys(KINDS):
         own = [d for d in done if d["kind"] == kind]
         print(f"{kind}: {sum(d['right'] for d in own)} of {len(own)} right")
-    print("intervals that hold:", [sum(d["inside"][k] for d in done) for k in (0, 1)])
+    print("intervals that hold:", inside(done))
 
 
 if __name__ == "__main__":

@@ -17,15 +17,7 @@ Processes = list[subprocess.Popen[bytes]]
 
 
 def run(command: str, run_dir: Path, words: Sequence[str], processes: Processes | None = None) -> int:
-    """Run a command of `nsde` that has a run directory, or continue it; its output goes to `RUN_DIR.log`.
-
-    Args:
-        command: `train` or `policy`.
-        run_dir: The run directory; where it is begun, the run is continued and the words are not read.
-
-    Returns:
-        Its exit status.
-    """
+    """Run a command of `nsde` that has a run directory, or continue it; its output goes to `RUN_DIR.log`."""
     begun = (run_dir / ".hydra").is_dir()
     where = [f"resume={run_dir}"] if begun else [*words, f"run_dir={run_dir}", "threads=1"]
     run_dir.parent.mkdir(parents=True, exist_ok=True)
@@ -47,14 +39,7 @@ def log_of(run_dir: Path) -> Path:
 
 
 def train_all(jobs: Mapping[Path, Sequence[str]], *, at_once: int) -> dict[str, str]:
-    """Train what has no finished run directory yet; interrupted trainings are continued.
-
-    Args:
-        jobs: Words of `nsde train` by run directory.
-
-    Returns:
-        Trainings that failed, by the name of their directory, with the reason and the log.
-    """
+    """Train what has no finished run directory yet; interrupted trainings are continued."""
     missing = {folder: words for folder, words in jobs.items() if not (folder / "metrics.json").is_file()}
     if len(jobs) > len(missing):
         where = ", ".join(sorted({str(folder.parent) for folder in jobs}))

@@ -18,42 +18,27 @@ from nsde_torch.px4.link import dialect as d
 
 @dataclass(frozen=True)
 class Flight:
-    """What a fault can reach while it is made.
+    """What a fault can reach while it is made."""
 
-    Args:
-        pid: Of `nsde fly`.
-        line: Between it and PX4.
-        px4: Process id of PX4, None where it is not known.
-    """
-
-    pid: int
-    line: Line
-    px4: int | None
+    pid: int  # of `nsde fly`
+    line: Line  # between it and PX4
+    px4: int | None  # process id of PX4, None where it is not known
 
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault.
+    """One fault."""
 
-    Args:
-        name: What happens.
-        make: Makes it; None: a limit that is set beforehand.
-        status: Exit statuses that are right.
-        trouble: Kinds of trouble that are right; empty: none is written, as the process is gone.
-        words: Settings of the flight.
-        phase: In which it is made.
-        after: How long into it [s].
-        predictive: Whether it needs a predictive controller.
-    """
-
-    name: str
-    make: Callable[[Flight], None] | None
-    status: tuple[int, ...]
-    trouble: tuple[str, ...] = ()
-    words: tuple[str, ...] = ("reference=lemniscate",)
-    phase: str = "track"
-    after: float = 3.0
-    predictive: bool = False
+    name: str  # what happens
+    make: Callable[[Flight], None] | None  # makes it; None: a limit that is set beforehand
+    status: tuple[int, ...]  # exit statuses that are right
+    trouble: tuple[
+        str, ...
+    ] = ()  # kinds of trouble that are right; empty: none is written, as the process is gone
+    words: tuple[str, ...] = ("reference=lemniscate",)  # settings of the flight
+    phase: str = "track"  # in which it is made
+    after: float = 3.0  # how long into it [s]
+    predictive: bool = False  # whether it needs a predictive controller
 
 
 def _signal(*numbers: int, pause: float = 0.5) -> Callable[[Flight], None]:

@@ -182,7 +182,6 @@ def table(content: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    """Fly the table."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

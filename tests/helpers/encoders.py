@@ -2,7 +2,7 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from position_machines import measured, rates, spring
+from small_machines import measured, rates, spring
 
 from nsde_torch.data.raw import RawRun
 
@@ -30,7 +30,7 @@ def encoder_runs(
     """Runs whose position an encoder measures.
 
     Args:
-        rate: Where the rate is from: "sensor", "truth", "none", or how a user made it (`position_machines.RATES`).
+        rate: Where the rate is from: "sensor", "truth", "none", or how a user made it (`small_machines.RATES`).
         friction: Dry friction over mass [m/s2].
         noise: Of the encoder [m]; ten times as much of a rate's sensor.
         seconds: Length of each [s].

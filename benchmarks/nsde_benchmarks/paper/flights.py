@@ -66,12 +66,7 @@ def against_identification(
     note: str,
     seed: int,
 ) -> ExperimentOutcome:
-    """Neural SDE against least-squares system identification on held-out flights.
-
-    Args:
-        models: `sde` and `sysid`, each one model per set of held-out flights.
-        tests: The flights that the models of each position were not trained on.
-    """
+    """Neural SDE against least-squares system identification on held-out flights."""
     names = {"sde": "neural SDE", "sysid": "system ID"}
     scores = {
         k: [evaluate(m, t, seed=seed) for m, t in zip(ms, tests, strict=True)] for k, ms in models.items()

@@ -62,14 +62,7 @@ PARTICLES = 1999
 def rollout(
     model: Model, x0: Tensor, u: Tensor, *, seed: int, measurement: bool, u_before: Tensor | None = None
 ) -> Tensor:
-    """Paths of a model (P, B, T + 1, nx), not-a-number from where one has left the finite numbers.
-
-    Args:
-        x0: First states (B, nx).
-        u: Inputs (B, T, nu) on the model's step.
-        measurement: Whether measurements are predicted, or the state itself.
-        u_before: Inputs of the steps before (B, K, nu); see `Model.sample`.
-    """
+    """Paths of a model (P, B, T + 1, nx), not-a-number from where one has left the finite numbers."""
 
     def sample(steps: int) -> Tensor:
         return model.sample(

@@ -170,14 +170,7 @@ def _filtered(q: Array) -> tuple[Array, Array]:
 
 
 def filtered_log(t: Array, q: Array, force: Array, *, step: float) -> RawRun:
-    """A run at 1 kHz on longer steps: filtered and differentiated as its authors do, with the mean force of every step.
-
-    Args:
-        t: Times (n,) [s].
-        q: Positions (n,) [m].
-        force: (n,) [N].
-        step: Of the log [s].
-    """
+    """A run at 1 kHz on longer steps: filtered and differentiated as its authors do, with the mean force of each."""
     smooth, speed = _filtered(q)
     width = round(step * RATE_HZ)
     rows = np.arange(50, len(t) - 50, width)

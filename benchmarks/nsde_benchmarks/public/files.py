@@ -32,11 +32,7 @@ class Work:
         self.folder, self.key, self.say, self.tell = folder, key, say, tell
 
     def stage(self, name: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-        """The result of a stage: read where it is kept, made and kept where not.
-
-        Raises:
-            CheckpointError: what is kept is damaged, or belongs to other files or settings.
-        """
+        """The result of a stage: read where it is kept, made and kept where not."""
         path = self.folder / "stages" / f"{name}.json"
         if path.is_file():
             try:
@@ -71,11 +67,7 @@ _POINTER = b"version https://git-lfs"
 
 
 def found(folder: Path, wanted: Sequence[str], *, repository: str) -> list[Path]:
-    """The files `wanted` (paths relative to the repository), by their places or by their names alone.
-
-    Raises:
-        DataError: no such folder, or a file is missing, empty, or a pointer of Git LFS.
-    """
+    """The files `wanted` (paths relative to the repository), by their places or by their names alone."""
     if not folder.is_dir():
         raise DataError(f"`data.path={folder}`: no such folder. Clone {repository} and name the checkout.")
     out = []
@@ -107,14 +99,7 @@ def found(folder: Path, wanted: Sequence[str], *, repository: str) -> list[Path]
 
 
 def matrices(path: Path, names: Sequence[str], *, what: str) -> dict[str, Array]:
-    """Variables of a MATLAB file, each flattened to (n,).
-
-    Args:
-        path: The `.mat` file.
-
-    Raises:
-        DataError: the file is damaged, or lacks one.
-    """
+    """Variables of a MATLAB file, each flattened to (n,)."""
     from scipy.io import loadmat
     from scipy.io.matlab import MatReadError
 
@@ -133,11 +118,7 @@ def matrices(path: Path, names: Sequence[str], *, what: str) -> dict[str, Array]
 
 
 def table(path: Path, names: Sequence[str], *, what: str) -> dict[str, Array]:
-    """Columns of a CSV file with a header row, each (n,); `nan` where a cell is empty.
-
-    Raises:
-        DataError: the file is damaged, cut off, or lacks a column.
-    """
+    """Columns of a CSV file with a header row, each (n,); `nan` where a cell is empty."""
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except UnicodeDecodeError:

@@ -22,12 +22,7 @@ def ladder(
     error: str,
     gain: float,
 ) -> list[Rung]:
-    """Fits without any term and with one more in each, the best first.
-
-    Args:
-        error: Key of the error on what was held out.
-        gain: Share of that error by which one more term has to lower it.
-    """
+    """Fits without any term and with one more in each, the best first."""
     rungs, names = [tried((), first)], tuple(candidates)
     while True:
         last = rungs[-1]
@@ -40,15 +35,7 @@ def ladder(
 
 
 def diagnosed(data: Data, *, say: Say, **options: Any) -> dict[str, Any]:
-    """Diagnose runs, as plain values that a stage can keep.
-
-    Args:
-        options: Of `nsde_torch.diagnose`.
-
-    Returns:
-        `added` (names), `leads` (those of them that are provisional), `verdict`, `effects` (with values), `values` of
-        the declared parameters, and `parameters` found and declared with value, 90 % interval and unit.
-    """
+    """Diagnose runs, as plain values that a stage can keep."""
     seen = diagnose(data, say=say, **options).finished()
     content = seen.content()
     declared = content["declared_parameters"]

@@ -95,17 +95,7 @@ def windows(
     stride: int | None = None,
     finer: int = 1,
 ) -> Stretches:
-    """Cut runs into stretches.
-
-    Args:
-        x: Measured states of each run (n, nx).
-        u: Inputs of each run (at least (n - 1) * finer, nu), on the finer grid.
-        dt: Step of the rows [s].
-        stride: Steps from one start to the next; None: `length`.
-
-    Raises:
-        DataError: no run is that long.
-    """
+    """Cut runs into stretches."""
     starts = [(r, k) for r, run in enumerate(x) for k in range(0, len(run) - length, stride or length)]
     if not starts:
         longest = max((len(run) for run in x), default=0)
@@ -123,19 +113,7 @@ def windows(
 def simulated(
     system: System, start: Array, u: Array, *, dt: float, finer: int = 1, rows: int = 4096
 ) -> Array:
-    """Open-loop rollouts by Runge-Kutta 4, without noise.
-
-    Args:
-        start: First states (B, nx).
-        u: Inputs (B, T * finer, nu).
-        dt: Step of the rows of the result [s].
-
-    Returns:
-        States (B, T + 1, nx).
-
-    Raises:
-        NonFiniteError: a state leaves the finite numbers.
-    """
+    """Open-loop rollouts by Runge-Kutta 4, without noise."""
     quick = ParameterVector(system).system  # its parameters are looked up, not worked out at every step
     with torch.no_grad():
         parts = [

@@ -114,14 +114,7 @@ def _arm(length: Tensor) -> Tensor:
 
 
 def budget(p: Mapping[str, float], motor: Array, weight: Array, speed: Array) -> Array:
-    """Largest friction torque (N,) [N m].
-
-    Args:
-        p: Parameters by the names that BAM gives them; those that a model lacks are left out.
-        motor: Torque of the motor (N,) [N m].
-        weight: Torque of the weight (N,) [N m].
-        speed: Of the arm (N,) [rad/s].
-    """
+    """Largest friction torque (N,) [N m]."""
     still = np.zeros_like(speed)
     if "dtheta_stribeck" in p:
         still = np.exp(-(np.abs(speed / p["dtheta_stribeck"]) ** p["alpha"]))
@@ -148,14 +141,7 @@ def budget(p: Mapping[str, float], motor: Array, weight: Array, speed: Array) ->
 
 
 def swing(p: Mapping[str, float], x: Array, u: Array, volts: float) -> Array:
-    """Angles (B, T + 1) [rad] of pendulums on a servo, by the steps of BAM.
-
-    Args:
-        p: Parameters `kt` [N m/A], `R` [ohm], `armature` [kg m2], `q_offset` [rad] and those of the friction.
-        x: First states (B, 2).
-        u: Goal, gain, whether the servo is on, mass and length (B, T, 5).
-        volts: Supply [V].
-    """
+    """Angles (B, T + 1) [rad] of pendulums on a servo, by the steps of BAM."""
     angle, speed = x[:, 0].copy(), x[:, 1].copy()
     mass, length = u[:, 0, 3], u[:, 0, 4]
     inertia = mass * length**2 + p["armature"]  # as the set was fitted: without the mass of the arm

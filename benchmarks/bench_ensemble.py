@@ -21,7 +21,6 @@ mbrl-lib pins a Hydra that this project cannot use, so it gets an environment of
     python benchmarks/bench_ensemble.py --published .../cartpole/learned.pkl
 """
 
-import json
 import math
 import time
 from dataclasses import dataclass
@@ -29,7 +28,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from common import options
+from common import options, write_json
 from torch import Tensor
 
 from nsde_torch.data import DataSet, Windows, split
@@ -79,7 +78,7 @@ def main() -> None:
             sides["mbrl"].append(mbrl(case, seed, stretched=False))
             sides["mbrl, stretched"].append(mbrl(case, seed, stretched=True))
         report(name, sides)
-    a.out.write_text(json.dumps(results, indent=1))
+    write_json(a.out, results)
 
 
 def make_case(data: DataSet, seed: int) -> Case:

@@ -13,30 +13,23 @@ gusts, the inputs before the start known. Beside them:
     hold     the state stays as it is
 
 A model is named by its kind, with `+effects` where the true effects of the machine are declared. Finished trainings are
-kept in the folder and not done again. `interventions(run_dir, seed=1)` does the same for one run directory.
-
-`coverage_90_by_distance` in the JSON splits the starts of a neural SDE in halves, by eta where the machine truly was at
-the horizon: its diffusion grows with eta, so that intervals are wider than the error where declared physics holds
-outside of the data.
+kept in the folder and not done again.
 """
 
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
-from common import options, train_all
+from common import Array, Json, markdown, options, read_json, train_all, write_json
 
 import nsde_torch
 from nsde_torch.data import DataSet, Windows
 from nsde_torch.evaluation.common_grid import Candidate
-from nsde_torch.evaluation.comparison import Comparison, compare
+from nsde_torch.evaluation.comparison import compare
 from nsde_torch.evaluation.metrics import start_grid
-from nsde_torch.evaluation.scores import LEVELS, group_squares, rms_by_group
+from nsde_torch.evaluation.scores import group_squares, rms_by_group
 from nsde_torch.evaluation.seen import SeenRuns
-from nsde_torch.models.neural_sde import NeuralSDE
 from nsde_torch.recording import read
 from nsde_torch.simulation import Replay, make_plant, simulate, write
 from nsde_torch.systems import MACHINES, make_plant_system, make_system
@@ -98,64 +91,24 @@ def _rows_before(data: DataSet, name: str, row: int) -> int:
     return next(row - a for a, b in data[name].segments if a < row < b)
 
 
-def interventions(
-    run_dir: str | Path,
-    *,
-    seed: int,
-    starts: int = 400,
-    folder: str | Path = "results/interventions",
-    particles: int = 199,
-    data: DataSet | None = None,
-) -> dict[str, Any]:
-    """How far off a trained model is on interventions, beside the oracle and a state that is held."""
-    run_dir = Path(run_dir)
-    model = nsde_torch.load(run_dir)
-    metrics = json.loads((run_dir / "metrics.json").read_text(encoding="utf-8"))
-    system = model.spec.system
-    if data is None:
-        data = data_of(system, seed=seed, starts=starts, folder=Path(folder))
-    comparison = compare(
-        [Candidate(name="model", model=model, seen=SeenRuns.of(metrics))],
-        data,
-        data.runs,
-        seed=0,
-        particles=particles,
-        horizons=HORIZONS,
-        replicates=100,
-    )
-    content = comparison.content
+def interventions(run_dir: Path, data: DataSet, particles: int) -> Json:
+    """How far off a trained model is on interventions, beside the oracle and a held state: by group, horizon."""
+    model, metrics = nsde_torch.load(run_dir), read_json(run_dir / "metrics.json")
+    candidates = [Candidate(name="model", model=model, seen=SeenRuns.of(metrics))]
+    how: Json = {"seed": 0, "particles": particles, "horizons": HORIZONS, "replicates": 100}
+    content = compare(candidates, data, data.runs, **how).content
     (entry,) = content["models"]
     return {
         "starts": content["starts"],
         "errors": entry["errors"],
         "coverage_90": entry["coverage"]["0.9"] if entry["stochastic"] else None,
-        "coverage_90_by_distance": by_distance(comparison) if isinstance(model, NeuralSDE) else None,
         "diverged": entry["diverged"],
         "trained_on": not entry["held_out"],
-        "oracle": oracle(system, data),
+        "oracle": oracle(model.spec.system, data),
         "hold": content["baselines"]["hold"],
         "parameters": metrics.get("parameters", {}),
         "seconds": metrics.get("seconds"),
     }
-
-
-@torch.no_grad()
-def by_distance(comparison: Comparison) -> dict[str, dict[str, list[float]]]:
-    """Coverage of 90 % intervals of a neural SDE in the half of the starts nearer to its data, and in the other."""
-    (candidate,), (grid,), (scores,) = comparison.candidates, comparison.grids, comparison.scores
-    model = candidate.model
-    assert isinstance(model, NeuralSDE)
-    x, *_ = grid.windows.batch(grid.starts[scores.kept])
-    out: dict[str, dict[str, list[float]]] = {}
-    for i, (time, step) in enumerate(zip(grid.times, grid.steps, strict=True)):
-        eta = model.distance(x[:, step].to(model.tau))
-        halves = eta.argsort().chunk(2)
-        inside = scores.inside[:, i, LEVELS.index(0.9)].double()
-        out[f"{time:g}"] = {"eta": [float(eta[half].median()) for half in halves]} | {
-            g.name: [float(inside[half][:, list(g.channels)].mean()) for half in halves]
-            for g in model.system.error_groups
-        }
-    return out
 
 
 def overrides(system: str, model: str, seed: int, further: Sequence[str]) -> list[str]:
@@ -165,33 +118,27 @@ def overrides(system: str, model: str, seed: int, further: Sequence[str]) -> lis
     return [f"system={system}", f"model={kind}", f"data.seed={seed}", *effects, *further]
 
 
-def table(rows: Sequence[Mapping[str, Any]], system: str) -> str:
+def table(rows: Sequence[Json], system: str) -> str:
     """Means and spreads over the seeds of one system, as Markdown."""
     mine = [r for r in rows if r["system"] == system]
     names = list(dict.fromkeys(r["model"] for r in mine))
+    of = {name: [r for r in mine if r["model"] == name] for name in names}
     keys = [f"{h:g}" for h in HORIZONS]
-    count = len({r["seed"] for r in mine})
-    lines = [
-        f"| {system}, {count} seeds: rms error | | " + " | ".join(f"{h} s" for h in keys) + " |",
-        "|---" * (2 + len(keys)) + "|",
-    ]
 
-    def figures(part: str, some: Sequence[Mapping[str, Any]], group: str, h: str) -> np.ndarray:
+    def figures(part: str, some: Sequence[Json], group: str, h: str) -> Array:
         return np.array([r[part][group][h] for r in some])
 
-    def spread(values: np.ndarray) -> str:
+    def spread(values: Array) -> str:
         around = f" +- {values.std(ddof=1):.2g}" if len(values) > 1 else ""
         return f"{values.mean():.3g}{around}"
 
+    errors, held = [], []
     for group, unit in GROUPS.items():
-        first = [r for r in mine if r["model"] == names[0]]
         for part in ("oracle", "hold"):
-            cells = [spread(figures(part, first, group, h)) for h in keys]
-            lines.append(f"| {group} [{unit}] | {part} | " + " | ".join(cells) + " |")
-        for name in names:
-            some = [r for r in mine if r["model"] == name]
-            by_seed = {r["seed"]: r for r in mine if r["model"] == "sysid" + name[len(name.split("+")[0]) :]}
-            like = [by_seed[r["seed"]] for r in some if r["seed"] in by_seed]
+            cells = [spread(figures(part, of[names[0]], group, h)) for h in keys]
+            errors.append((f"{group} [{unit}]", part, *cells))
+        for name, some in of.items():
+            like = of.get("sysid" + name[len(name.split("+")[0]) :], [])
             cells = []
             for h in keys:
                 own = figures("errors", some, group, h)
@@ -199,44 +146,31 @@ def table(rows: Sequence[Mapping[str, Any]], system: str) -> str:
                 if len(like) == len(some) and like != some:
                     text += f", x {(own / figures('errors', like, group, h)).mean():.2f}"
                 cells.append(text + ")")
-            lines.append(f"| {group} [{unit}] | {name} | " + " | ".join(cells) + " |")
+            errors.append((f"{group} [{unit}]", name, *cells))
+            if some[0]["coverage_90"]:
+                shares = [f"{100 * figures('coverage_90', some, group, h).mean():.0f} %" for h in keys]
+                held.append((group, name, *shares))
+    times = [f"{h} s" for h in keys]
+    count = len({r["seed"] for r in mine})
+    lines = markdown((f"{system}, {count} seeds: rms error", "", *times), errors)
     lines += ["", "In brackets: ratio to the oracle, and to `sysid` with the same physics.", ""]
-    noisy = [n for n in names if any(r["coverage_90"] for r in mine if r["model"] == n)]
-    if noisy:
-        lines += ["| 90 % intervals hold | | " + " | ".join(f"{h} s" for h in keys) + " |"]
-        lines += ["|---" * (2 + len(keys)) + "|"]
-        for group in GROUPS:
-            for name in noisy:
-                some = [r for r in mine if r["model"] == name]
-                cells = [f"{100 * figures('coverage_90', some, group, h).mean():.0f} %" for h in keys]
-                lines.append(f"| {group} | {name} | " + " | ".join(cells) + " |")
-        lines.append("")
-    return "\n".join([*lines, *_parameters(mine, system, names)])
+    lines += [*markdown(("90 % intervals hold", "", *times), held), ""]
+    return "\n".join([*lines, *markdown(("parameter", "truth", *names), _parameters(system, of)), ""])
 
 
-def _parameters(mine: Sequence[Mapping[str, Any]], system: str, names: Sequence[str]) -> list[str]:
+def _parameters(system: str, of: dict[str, list[Json]]) -> Iterator[Sequence[str]]:
     """Declared parameters: mean over the seeds, and how many of the 90 % intervals that are given hold the truth."""
-    truth = {k: v[0].flatten().tolist() for k, v in make_plant_system(system).all_declared().items()}
-    head = ["| parameter | truth | " + " | ".join(names) + " |", "|---" * (2 + len(names)) + "|"]
-    lines = []
-    for key, values in truth.items():
-        for i, value in enumerate(values):
+    for key, (values, *_) in make_plant_system(system).all_declared().items():
+        for i, value in enumerate(values.flatten().tolist()):
             cells = []
-            for name in names:
-                found = [r["parameters"][key] for r in mine if r["model"] == name and key in r["parameters"]]
-                if not found:
-                    cells.append("-")
-                    continue
-                own = np.array([f["value"][i] for f in found])
-                halves = [(f.get("half_width_90") or [None] * len(values))[i] for f in found]
-                given = [
-                    abs(v - value) <= h for v, h in zip(own.tolist(), halves, strict=True) if h is not None
-                ]
+            for some in of.values():
+                found = [r["parameters"][key] for r in some if key in r["parameters"]]
+                own = [f["value"][i] for f in found]
+                halves = [f["half_width_90"][i] if f.get("half_width_90") else None for f in found]
+                given = [abs(v - value) <= h for v, h in zip(own, halves, strict=True) if h is not None]
                 held = f", {sum(given)} of {len(given)}" if given else ""
-                cells.append(f"{own.mean():.3g}{held}")
-            label = key if len(values) == 1 else f"{key}[{i}]"
-            lines.append(f"| {label} | {value:.3g} | " + " | ".join(cells) + " |")
-    return [*head, *lines, ""]
+                cells.append(f"{np.mean(own):.3g}{held}" if own else "-")
+            yield key if values.numel() == 1 else f"{key}[{i}]", f"{value:.3g}", *cells
 
 
 def main() -> None:
@@ -274,12 +208,12 @@ def main() -> None:
     rows = []
     for (system, seed, model), run in jobs.items():
         data = data_of(system, seed=OTHER_FLIGHTS + seed, starts=a.starts, folder=folder)
-        found = interventions(run, seed=OTHER_FLIGHTS + seed, data=data, particles=a.particles)
+        found = interventions(run, data, a.particles)
         rows.append({"system": system, "seed": seed, "model": model, **found})
         at_1s = ", ".join(f"{g} {found['errors'][g]['1']:.3g} {unit}" for g, unit in GROUPS.items())
         print(f"{system} {seed} {model} at 1 s: {at_1s}", flush=True)
         out = a.json or folder / "interventions.json"
-        out.write_text(json.dumps(rows, indent=1), encoding="utf-8")
+        write_json(out, rows)
     print()
     for system in a.systems:
         print(table(rows, system))

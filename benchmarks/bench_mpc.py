@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from common import options
+from common import options, write_json
 
 import nsde_torch
 from nsde_torch.control.autopilots import EstimatorOptions, PredictivePilot
@@ -332,7 +332,7 @@ def main() -> None:
             out[name] = closed_loop(model, given.seconds, loops[name])
             print(name, json.dumps(out[name], indent=1), flush=True)
     if given.out is not None:
-        given.out.write_text(json.dumps(out, indent=1))
+        write_json(given.out, out)
 
 
 if __name__ == "__main__":

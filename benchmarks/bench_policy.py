@@ -24,7 +24,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from common import learn_policy, options, train
+from common import learn_policy, options, read_json, train
 
 DATA = {"on_policy": "published", "random": "published", "plant_on_policy": "plant", "plant_random": "plant"}
 FILES = {"on_policy": "learned.pkl", "random": "random.pkl"}
@@ -47,7 +47,7 @@ class Cell:
         return [folder for folder in self.folders if (folder / "policy.json").is_file()]
 
     def reports(self) -> list[dict[str, Any]]:
-        return [json.loads((folder / "policy.json").read_text()) for folder in self.finished]
+        return [read_json(folder / "policy.json") for folder in self.finished]
 
 
 def data_words(data: str, published: Path | None) -> list[str]:
@@ -95,7 +95,7 @@ def job(cell: Cell, seed: int, a: argparse.Namespace) -> Callable[[], None]:
                 words.append(f"propagation={'redrawn' if cell.kind == REDRAWN else 'fixed'}")
         started = time.perf_counter()
         learn_policy(folder, [*words, *a.policy])
-        reward = json.loads((folder / "policy.json").read_text())["truth_reward"]["mean"]
+        reward = read_json(folder / "policy.json")["truth_reward"]["mean"]
         print(f"{folder}: reward {reward:.1f}, {time.perf_counter() - started:.0f} s", flush=True)
 
     return run

@@ -10,7 +10,6 @@ faults of the recording chain undone that the other two showed.
 
 from __future__ import annotations
 
-import json
 import os
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 import torch
-from common import options
+from common import options, read_json, write_json
 
 from nsde_torch.data import Run, Windows
 from nsde_torch.diagnosis.cross_validation import as_model
@@ -128,9 +127,9 @@ def main() -> None:
     for k in range(len(data.runs)):
         path = a.out / f"fold_{k}.json"
         if not path.is_file():
-            path.write_text(json.dumps(fold(data, system, k), indent=1))
+            write_json(path, fold(data, system, k))
             print(f"wrote {path}", flush=True)
-        results.append(json.loads(path.read_text()))
+        results.append(read_json(path))
     show(results)
 
 

@@ -11,7 +11,6 @@ compilation. Functions take turns and the minimum over the repetitions counts, b
     python benchmarks/bench_rollout.py --threads 1 --out bench_rollout.json
 """
 
-import json
 import math
 import os
 import statistics
@@ -20,7 +19,7 @@ from collections.abc import Callable
 
 import torch
 import torchsde
-from common import options
+from common import options, write_json
 from torch import Tensor, nn
 
 from nsde_torch.models import NeuralSDE, SDESpec
@@ -209,7 +208,7 @@ def main() -> None:
         print(f"{kind}: torchsde takes {span} times as long, geometric mean {mean:.1f}")
     if a.out:
         machine = {"torch": torch.__version__, "threads": a.threads, "cores": os.cpu_count()}
-        a.out.write_text(json.dumps({**machine, "steps": a.steps, "dt_s": a.dt, "rows": rows}, indent=1))
+        write_json(a.out, {**machine, "steps": a.steps, "dt_s": a.dt, "rows": rows})
 
 
 if __name__ == "__main__":

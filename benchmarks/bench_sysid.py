@@ -13,7 +13,6 @@ Spring: five runs of 5 s with a multisine force. Cartpole: its twenty episodes. 
     python benchmarks/bench_sysid.py --seeds 200
 """
 
-import json
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -21,7 +20,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from common import options
+from common import options, write_json
 
 from nsde_torch.data import Run
 from nsde_torch.models.identified import METHODS
@@ -52,7 +51,7 @@ def main() -> None:
                 row |= coverage(name, method, range(a.first_seed, a.first_seed + a.seeds))
             results.setdefault(name, {})[method] = row
             report(name, method, row)
-            a.out.write_text(json.dumps(results, indent=1))
+            write_json(a.out, results)
 
 
 def declared(name: str) -> System:

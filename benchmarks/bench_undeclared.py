@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from common import options, train_all
+from common import options, read_json, train_all
 
 import nsde_torch
 
@@ -70,7 +70,7 @@ def judged(folder: Path, name: str, seed: int, starts: int) -> dict[str, Any]:
         beside = f"beside=[{runs['informed']},{runs['sysid']}]"
         words = [*flown.split(), "machines=4", f"seed={seed}", f"out_dir={tracks}"]
         nsde("track", f"run={runs['nsde']}", beside, *words, *plant)
-    tracked = json.loads((tracks / "tracking.json").read_text(encoding="utf-8"))["controllers"].values()
+    tracked = read_json(tracks / "tracking.json")["controllers"].values()
     flown_by = {Path(c["run"]).name: c for c in tracked}
     return {
         model: {

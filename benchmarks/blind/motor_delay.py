@@ -59,7 +59,7 @@ def judged(seed: int) -> Json:
         logs.append(nsde_torch.read(folder, system="quadrotor"))
         return truth
 
-    truth, _, answer = written(write, "quadrotor", say=False)
+    truth, _, answer = written(write, "quadrotor")
     own = answer["parameters"].get("motor_lag.time_constant", {"value": np.nan, "interval_90": None})
     return {"truth": truth, "thrust": by_thrust(logs[0]), "own": own, "added": answer["added"]}
 

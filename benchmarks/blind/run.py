@@ -48,7 +48,7 @@ def diagnose_case(folder: Path, name: str) -> Json:
     truth = truth_of(folder, name)
     system = make_system(truth["system"])
     data = nsde_torch.read(folder / "data" / name, system=system)
-    found, answer = diagnosed(data, system, say=False)
+    found, answer = diagnosed(data, truth["system"])
     content = found.content()
     answer |= {key: content[key] for key in ("findings", "errors")}
     answer["structure"] = content["structure"]["after"][:3]

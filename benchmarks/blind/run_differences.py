@@ -161,7 +161,7 @@ def answer_of(draw: Callable[[str, int], Made], keep: Path | None, name: str, se
     with tempfile.TemporaryDirectory() as temporary:
         folder = (keep or Path(temporary)) / f"{name.replace(': ', '_')}_{seed}"
         write(case, folder, seed)
-        found, answer = diagnosed(folder, case.kind.system, say=False)
+        found, answer = diagnosed(folder, case.kind.system)
     content = found.content()
     sure = {f["name"] for f in content["findings"] if not f["lead"]}
     named = {f["name"] for f in content["findings"]}

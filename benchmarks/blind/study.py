@@ -122,7 +122,7 @@ def diagnosed(data: Any, system: Any, **how: Any) -> tuple[Any, Json]:
 
     torch.set_num_threads(1)
     started = time.perf_counter()
-    found = nsde_torch.diagnose(data, system=system, **how)
+    found = nsde_torch.diagnose(data, system=system, **{"say": False, **how})
     content = found.content()
     return found, {
         "verdict": content["verdict"],

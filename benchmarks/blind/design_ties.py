@@ -365,7 +365,8 @@ def one(name: str, kind: str, seed: int, wider: float) -> Json:
     e = design(system, runs, question, DesignOptions(samples=3, rehearsals=6, seed=seed, **how))
     family, drive, before = machine.family(e, runs, duration)
     told, best = oracle(e, right, truth, family, drive, budget=machine.oracle, before=before, seed=seed)
-    out |= {"designed_s": e.seconds, "words": list(e.plan.words), "kind_of_plan": e.plan.name, "oracle": told}
+    out |= {"designed_s": e.seconds, "words": list(e.plan.words), "kind_of_plan": e.plan.name}
+    out |= {"oracle": told, "wider": wider}
     named = {"the plan" if p is e.plan else p.name: p for p in (e.plan, *e.baselines)}
     tables, hoped = {n: p.table for n, p in named.items()}, {n: p.nats(right) for n, p in named.items()}
     if best is not None:

@@ -37,13 +37,7 @@ from nsde_torch.recording import read
 from nsde_torch.simulation import simulated
 from nsde_torch.systems import make_system
 from nsde_torch.training import TrainerOptions
-from nsde_torch.training.fit_ensemble import (
-    STEPS_FACTOR,
-    EnsembleLoop,
-    Pairs,
-    cut_pairs,
-    standardised_pairs,
-)
+from nsde_torch.training.fit_ensemble import STEPS_FACTOR, EnsembleLoop, Pairs, cut_pairs, standardised_pairs
 
 MEMBERS, HIDDEN, BATCH = 5, 64, 32
 EPISODES_HELD_OUT = 0.2

@@ -103,11 +103,7 @@ class Peer:
             # of Gauss and Newton, as ours: the exact Hessian is indefinite here, and made definite it takes 50 steps
             slope, f, lam = ca.jacobian(rest, x), ca.SX.sym("f"), ca.SX.sym("lam", g.shape[0])
             hessian = ca.Function(
-                "curvature",
-                [x, given, f, lam],
-                [2 * f * slope.T @ slope],
-                HESSIAN,
-                ["hess_gamma_x_x"],
+                "curvature", [x, given, f, lam], [2 * f * slope.T @ slope], HESSIAN, ["hess_gamma_x_x"]
             )
             options |= SQP | {"max_iter": iterations or 50, "hess_lag": hessian}
             options["qpsol_options"] = {**own.get("qpsol_options", {}), "error_on_fail": False}

@@ -83,11 +83,7 @@ def shares(found: Any, law: Law) -> Json:
         return torch.from_numpy(law(x.numpy(), u.numpy()))[:, None]
 
     oracle = learned(at, Variables(("the law",), true), range(len(at.of.space.disturbances)))
-    return {
-        "effects": most.effects,
-        "all": most.effects + most.left,
-        "oracle": sum(oracle.nats.values()),
-    }
+    return {"effects": most.effects, "all": most.effects + most.left, "oracle": sum(oracle.nats.values())}
 
 
 def terms(data: Any, system: Any) -> list[str]:

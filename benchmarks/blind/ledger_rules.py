@@ -139,10 +139,7 @@ RULES = (
         "",
     ),
     _found(
-        "tests beyond feedback",
-        "what feedback may hide is no structure",
-        "decision.allowances_of_tests",
-        {},
+        "tests beyond feedback", "what feedback may hide is no structure", "decision.allowances_of_tests", {}
     ),
     # ---- feedback
     Rule(

@@ -59,11 +59,7 @@ class FiguresConfig:
     )
 
 
-COMMAND = HydraCommand(
-    name="figures",
-    schema=FiguresConfig,
-    folder="figures",
-)
+COMMAND = HydraCommand(name="figures", schema=FiguresConfig, folder="figures")
 
 
 def run(config: DictConfig, job: Job) -> None:

@@ -134,6 +134,7 @@ class Small:
     seed = 77
     kinds: Sequence[str] = ("bias", "late", "drag")
     oracle = (192, 14)
+    quiet = True  # whether the states that limits are of are simulated again without noise of the sensors
     smaller = (
         (1.0, 8.0, 1.0),
         (0.5, 6.0, 1.0),
@@ -242,6 +243,7 @@ class Quadrotor(Small):
     seed = 78
     kinds = ("drag", "late", "weak", "wind")
     oracle = (40, 4)
+    quiet = False
     declared = None
     ladder = (
         (1.2, 8.0, 1.0),
@@ -374,7 +376,7 @@ def one(name: str, kind: str, seed: int, wider: float) -> Json:
     flown = {n: machine.flown(truth, e, t, 1000 * seed + i) for i, (n, t) in enumerate(tables.items())}
     plans = machine.judged(e, runs, question, flown, right)
     for i, (n, table) in enumerate(tables.items()):
-        seen = machine.flown(truth, e, table, 1000 * seed + i, 0.0)
+        seen = machine.flown(truth, e, table, 1000 * seed + i, 0.0) if machine.quiet else flown[n]
         plans[n] |= {"expected": hoped[n], "use": float(np.nanmax(e.limits.use(seen.x)))}
     return out | {"plans": plans, "seconds": time.perf_counter() - began}
 

@@ -367,6 +367,8 @@ def zero_of_an_input(steps: Steps, system: System, law: Effect) -> str | None:
 
     A steering that was off by 0.024 rad was `cos(phi) v^2`, a gain of the input that depends on the place.
     """
+    if system.nu < 2 or law.exogenous:
+        return None
     machine, own = system.double(), deepcopy(law).double()
     some = torch.linspace(0, len(steps) - 1, min(len(steps), _ROWS)).long()
     t, x, u = steps.t[some], steps.x0[some], steps.u[some]
@@ -379,7 +381,7 @@ def zero_of_an_input(steps: Steps, system: System, law: Effect) -> str | None:
         moved[:, k] += size
         does = (machine.drift(t, z, moved)[:, : system.nx] - before) / size
         off = float((does * pushes).sum() / (does * does).sum().clamp_min(1e-300))
-        if system.nu > 1 and float((pushes - off * does).norm()) < _ALIKE * float(pushes.norm()):
+        if float((pushes - off * does).norm()) < _ALIKE * float(pushes.norm()):
             return f"a zero that is off: what {off:.3g} {unit} more of {name} would do"
     return None
 

@@ -148,9 +148,8 @@ def _mended(column: Array, rate: Array | None, t: Array) -> tuple[Array, dict[in
     if not (changes > 0).any() or not near.any():
         return column, off
     usual_change = float(np.quantile(changes, 0.95))
-    if (
-        rate is not None
-    ):  # of a pole that spins each change is as large as a glitch, and what its rate makes of it
+    # of a pole that spins each change is as large as a glitch, and what its rate makes of it is not
+    if rate is not None:
         against = np.abs(np.diff(column) - 0.5 * np.diff(t) * (rate[1:] + rate[:-1]))
         usual_change = min(usual_change, float(np.quantile(against, 0.95)))
     least = max(

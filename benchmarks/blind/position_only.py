@@ -7,7 +7,7 @@ Machines in turn: spring, cart, two joints (`small_machines`, `two_joints`), wit
 encoders in each case; one effect, or none; the rate is missing or made by a user in one of four ways. It counts whether
 the effect that is there is named first, what is named of nothing, and whether 90 % intervals of its size hold.
 
-`--values` asks for values where the laws are told: each case is identified with the true effects declared, from first
+`--values` asks for values where the laws are given: each case is identified with the true effects declared, from first
 values that are 30 % off. It counts how many 90 % intervals hold the truth, and how far estimates are off in
 half-widths.
 """
@@ -159,7 +159,7 @@ def report_values(done: list[Json]) -> None:
 
 def main() -> None:
     parser = options(__doc__, "seed", "out", first=0, count=30)
-    parser.add_argument("--values", action="store_true", help="values where the laws are told")
+    parser.add_argument("--values", action="store_true", help="values where the laws are given")
     a = parser.parse_args()
     if a.values:
         keys = ("case", "system", "off", "error")

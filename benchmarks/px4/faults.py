@@ -34,7 +34,7 @@ class Fault:
     status: tuple[int, ...]  # exit statuses that are right
     trouble: tuple[
         str, ...
-    ] = ()  # kinds of trouble that are right; empty: none is written, as the process is gone
+    ] = ()  # kinds of trouble that are right; empty: none is written, as the process has ended
     words: tuple[str, ...] = ("reference=lemniscate",)  # settings of the flight
     phase: str = "track"  # in which it is made
     after: float = 3.0  # how long into it [s]

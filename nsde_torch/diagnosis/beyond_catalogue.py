@@ -18,7 +18,7 @@ likelier of the two by its spelling alone (docs/content/theory/evidence.md).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import replace
 from itertools import combinations, product
@@ -26,6 +26,7 @@ from math import log
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from nsde_torch.arrays import Array
 from nsde_torch.diagnosis.candidates import (
@@ -150,24 +151,12 @@ class _LawSearch:
 
     def _drifts(self, place: FittedPhysics) -> list[Term]:
         """Forces that grow with the time and a variable, as a spring that tires; constants where no effect is one."""
-        system, space, found = place.system, place.at.of.space, list[Term]()
+        system, space = place.system, place.at.of.space
         t, known = space.steps.t.numpy(), {name for name, _, _ in vocabulary(type(system)).variables}
         values = machine_variables(system, space.steps.x0[:, : system.nx], space.steps.u, inputs=True)
-        columns = {"": np.ones_like(t), "time": t}
-        columns |= {f"time {name}": t * v.numpy() for name, v in values.items() if name in known}
-        constant = {(at.port, at.row) for at in system.bound_coordinates()}
-        ports = [k for k, (port, _) in enumerate(space.disturbances) if port in system.residual_ports]
-        least = log(len(columns) * max(len(ports), 1) / self._search.search.level("effects"))
-        for k in ports:
-            nats = {
-                part: force_scores(place.at).of(column[:, None], k).nats
-                for part, column in columns.items()
-                if part or space.disturbances[k] not in constant
-            }
-            best = max(nats, key=lambda part: nats[part])
-            if nats[best] > least:
-                found.append(law_on(system, place.at, k, (best,), {}))
-        return found
+        products: dict[str, list[Array]] = {"": [np.ones_like(t)], "time": [t]}
+        products |= {f"time {name}": [t, v.numpy()] for name, v in values.items() if name in known}
+        return self._beyond_chance(place, products)
 
     def _couplings(self, place: FittedPhysics) -> list[Term]:
         """Products of three variables, one of them squared or none, as of Coriolis forces and of those of a flow.
@@ -178,7 +167,7 @@ class _LawSearch:
         the effects explained all that functions can (tests/diagnosis/test_laws_beyond_the_catalogue.py); of a turbine
         that the product of wind, blade angle and speed brakes, `om^2 beta` was sure.
         """
-        system, space, found = place.system, place.at.of.space, list[Term]()
+        system, space = place.system, place.at.of.space
         units = {name: unit for name, unit, _ in vocabulary(type(system)).variables}
         states = dict(zip(system.state_names, space.steps.x0[:, : system.nx].T, strict=True))
         seen = machine_variables(system, space.steps.x0[:, : system.nx], space.steps.u, inputs=True)
@@ -210,11 +199,24 @@ class _LawSearch:
             for texts in product(*factors):
                 if sum("^" in text for text in texts) < 2:
                     products[" ".join(texts)] = [one[text] for one, text in zip(factors, texts, strict=True)]
+        return self._beyond_chance(place, products)
+
+    def _beyond_chance(self, place: FittedPhysics, products: Mapping[str, Sequence[Array]]) -> list[Term]:
+        """Of some products, by their text, the best on each row of a port, where its scores are beyond chance.
+
+        None is a constant where that is an effect of the catalogue.
+        """
+        system, space, found = place.system, place.at.of.space, list[Term]()
+        constant = {(at.port, at.row) for at in system.bound_coordinates()}
         ports = [k for k, (port, _) in enumerate(space.disturbances) if port in system.residual_ports]
         least = log(max(len(products) * len(ports), 1) / self._search.search.level("effects"))
         for k in ports if products else ():
             scores = force_scores(place.at)
-            nats = {part: scores.of(np.prod(of, 0)[:, None], k).nats for part, of in products.items()}
+            nats = {
+                part: scores.of(np.prod(of, 0)[:, None], k).nats
+                for part, of in products.items()
+                if part or space.disturbances[k] not in constant
+            }
             best = max(nats, key=lambda part: nats[part])
             if nats[best] > least:
                 found.append(law_on(system, place.at, k, (best,), {}))
@@ -370,9 +372,7 @@ def zero_of_an_input(steps: Steps, system: System, law: Effect) -> str | None:
     if system.nu < 2 or law.exogenous:
         return None
     machine, own = system.double(), deepcopy(law).double()
-    some = torch.linspace(0, len(steps) - 1, min(len(steps), _ROWS)).long()
-    t, x, u = steps.t[some], steps.x0[some], steps.u[some]
-    z = machine.augment(x, u)
+    t, x, u, z = _some_rows(steps, machine)
     force = {own.port: own(t, x, seen_by(machine, own, t, z, u), z[:, :0])}
     before = machine.drift(t, z, u)[:, : system.nx]
     pushes = machine.drift(t, z, u, force)[:, : system.nx] - before
@@ -404,7 +404,12 @@ def _size(parameter: Parameter) -> float:
 def _pushes(steps: Steps, system: System, effect: Effect) -> np.ndarray:
     """What an effect without memory adds at some of the data's states, row after row of its port."""
     machine, own = system.double(), effect.double()
-    some = torch.linspace(0, len(steps) - 1, min(len(steps), _ROWS)).long()
-    t, x, u = steps.t[some], steps.x0[some], steps.u[some]
-    z = machine.augment(x, u)
+    t, x, u, z = _some_rows(steps, machine)
     return np.asarray(own(t, x, seen_by(machine, own, t, z, u), z[:, :0]).numpy()).ravel()
+
+
+def _some_rows(steps: Steps, machine: System) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Times, states, inputs, and states with memory of some of the data's rows."""
+    some = torch.linspace(0, len(steps) - 1, min(len(steps), _ROWS)).long()
+    x, u = steps.x0[some], steps.u[some]
+    return steps.t[some], x, u, machine.augment(x, u)

@@ -35,7 +35,7 @@ NEIGHBOURHOOD = 25  # rows on each side against which a sample is judged
 _GLITCH_QUANTA, _RANGE = 3.0, 0.01  # of the steps that values come in, and of their range
 _LEFT = 0.3  # share of a glitch that its neighbours may be off without it
 _MOST = 0.02  # share of the rows; more is how the sensor is
-_MISSING = 2.5  # steps that rows around a glitch may be apart
+_MISSING = 2.5  # steps that rows around a glitch may be apart (a cart with 3 % of its rows missing)
 
 _LEAVES, _USUAL = 0.1, 8.0  # of the largest speed, and of the column's usual change
 _BEYOND = 1.2  # share of the largest speed beyond which a value is no speed, however long it lasts

@@ -60,6 +60,8 @@ DURATIONS: dict[str, list[float]] = {
 _TURNED = ("frame_misalignment",)
 _OF_THE_LOG = (*_TURNED, "position_bias[pole]")
 _LATER = (  # than the committed seeds, whose draws stay what they were
+    "relaxation",
+    "viscoelasticity",
     "rotor_drag",
     "translational_lift",
     "asymmetric_lag",

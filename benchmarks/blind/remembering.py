@@ -1,8 +1,12 @@
-"""Springs that remember: Bouc-Wen and Dahl hysteresis and play of the input, beside delays, lags, friction and nothing.
+"""Springs that remember: hysteresis, play of the input, a spring behind a damper, a fluid that is dragged along.
 
-    q'' = -k q - b v + g u_eff - s z,   Bouc-Wen  z' = (v - (|v| z + v |z|) / 2) / d,   Dahl  z' = (v - |v| z) / d
+    q'' = -k q - b v + g u_eff - f,     Bouc-Wen  f = s z,  z' = (v - (|v| z + v |z|) / 2) / d
+                                        Dahl      f = s z,  z' = (v - |v| z) / d
+                                        Maxwell   f = 6 s z,  z' = v - z / T
+                                        fluid     f = 4 s (v - z),  z' = (v - z) / T
 
-by Runge-Kutta 4 at a fifth of the step, with white gusts; play is Tao and Kokotovic's operator on rows of the input.
+beside delays, lags, friction and nothing, by Runge-Kutta 4 at a fifth of the step, with white gusts; play is Tao and
+Kokotovic's operator on rows of the input.
 
     python benchmarks/blind/remembering.py --seed 1 --count 12
 """
@@ -25,6 +29,8 @@ RIGHT = {
     "coulomb": "coulomb_friction",
     "dahl": "hysteresis",
     "null": "",
+    "maxwell": "viscoelasticity",
+    "fluid": "relaxation",
 }
 DT, FINE, NOISE, GUST = 0.01, 5, 1e-3, 0.02
 
@@ -49,7 +55,7 @@ def run(kind: str, values: dict[str, float], rng: np.random.Generator) -> tuple[
     t = DT * np.arange(1500)
     u = sums_of_sines(t, 2.0, rng, 0.08, 1.5)
     acting, h, y = _acting(kind, u, values["time"]), DT / FINE, [0.0] * 3
-    size, reach = values["size"], values["reach"]
+    size, reach, slow = values["size"], values["reach"], values["slow"]
 
     def rate(y: Any, push: float) -> list[float]:
         q, v, z = y
@@ -58,9 +64,16 @@ def run(kind: str, values: dict[str, float], rng: np.random.Generator) -> tuple[
         if kind in ("bouc_wen", "dahl"):
             force -= size * z
             turn = v - (0.5 * (abs(v) * z + v * abs(z)) if kind == "bouc_wen" else abs(v) * z)
+            turn /= reach
+        elif kind == "maxwell":
+            force -= 6.0 * size * z
+            turn = v - z / slow
+        elif kind == "fluid":
+            force -= 4.0 * size * (v - z)
+            turn = (v - z) / slow
         elif kind == "coulomb":
             force -= size * np.tanh(v / 0.01)
-        return [v, force, turn / reach]
+        return [v, force, turn]
 
     out = np.empty((len(t), 2))
     for n, push in enumerate(acting):
@@ -79,6 +92,7 @@ def main() -> None:
         kind = list(RIGHT)[i % len(RIGHT)]
         values = {"k": rng.uniform(2, 6), "b": rng.uniform(0.2, 0.6), "g": rng.uniform(0.8, 1.6)}
         values |= {"size": rng.uniform(0.25, 0.6), "reach": rng.uniform(0.03, 0.25)}
+        values["slow"] = float(np.exp(rng.uniform(np.log(0.15), np.log(2.0))))
         values["time"] = float(rng.uniform(0.1, 0.4) if kind == "play" else rng.uniform(0.02, 0.06))
         runs = []
         for n in range(4):

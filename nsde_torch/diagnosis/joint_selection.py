@@ -27,7 +27,15 @@ import torch
 from scipy.special import chdtrc
 
 from nsde_torch.arrays import Array, Labels
-from nsde_torch.diagnosis.candidates import alone, candidate_names, effect_of, joined, starts, starts_of
+from nsde_torch.diagnosis.candidates import (
+    Start,
+    alone,
+    candidate_names,
+    effect_of,
+    joined,
+    starts,
+    starts_of,
+)
 from nsde_torch.diagnosis.evidence import bonferroni, folds_of, sum_error
 from nsde_torch.diagnosis.gram_table import GramTable
 from nsde_torch.diagnosis.laws import Term, tables, terms_on
@@ -54,7 +62,8 @@ class Explained:
     """What a candidate would explain."""
 
     name: str  # of the effect
-    begun: System  # physics with it, at the values that a linearised step begins at
+    beside: System  # physics that it would explain more beside
+    start: Start  # values that a linearised step begins at
     values: dict[str, float]  # those of its parameters after the step, by label
     nats: float  # log likelihood of blocks left out, beyond that of the physics without it [nats]
     error: float  # its standard error, from the scatter over blocks [nats]
@@ -64,6 +73,11 @@ class Explained:
     blocks: Array  # `nats` by block of time (B,)
     errors: dict[str, tuple[float, float]]
     """Standard errors of its sizes, by label, and the same if all other parameters were known; inf: no row shows it."""
+
+    @cached_property
+    def begun(self) -> System:
+        """The physics with it, at the values that the step begins at."""
+        return joined(self.beside, self.name, self.start)
 
     @cached_property
     def system(self) -> System:
@@ -747,7 +761,7 @@ class _Entry:
     """A candidate at one of its starts: its columns, their labels, and base parameters that it takes the place of."""
 
     name: str
-    system: System
+    start: Start
     columns: tuple[int, ...]
     labels: tuple[str, ...]
     at: Array
@@ -762,15 +776,18 @@ def looked(search: Search, place: FittedPhysics, frequencies: Sequence[float] = 
     space = place.at.of.space
     everything = range(len(place.best.vector))
     about = place.at.about
-    base = space.columns(about.x, about.slopes, everything, about.after)
-    tables, entries, rates = [base.float()], [], space.rates(space.midway(about.x, about.after))
+    middle = space.midway(about.x, about.after)
+    base = space.columns(about.x, about.slopes, everything, middle=middle)
+    tables, entries, rates = [base.float()], [], space.rates(middle)
     at = 1 + base.shape[-1]
     names = candidate_names(place.system, search.candidates)
     for name in names:
         check_time()
+        own: LogLikelihood | None = None
         for start in starts(place.system, name, place.at.of.sizes, frequencies):
             try:
-                entry, columns = _columns(place, name, joined(place.system, name, start), rates, at)
+                own = own or place.at.of.of(joined(place.system, name, start), space.estimates)
+                entry, columns = _columns(own, place, name, start, (middle, rates), at)
             except (NsdeError, np.linalg.LinAlgError):
                 continue
             if not bool(torch.isfinite(columns).all()):
@@ -790,7 +807,8 @@ def looked(search: Search, place: FittedPhysics, frequencies: Sequence[float] = 
             if step is not None and (entry.name not in best or step.rank > best[entry.name].rank):
                 best[entry.name] = step
     longest = max(b - a for a, b in space.steps.segments)
-    proposals = (_proposed(search, table, step, len(names), longest) for step in best.values())
+    beside = place.system
+    proposals = (_proposed(search, beside, table, step, len(names), longest) for step in best.values())
     return sorted(proposals, key=lambda p: -p.rank)
 
 
@@ -805,20 +823,31 @@ def _side_by_side(tables: list[torch.Tensor]) -> torch.Tensor:
 
 
 def _columns(
-    place: FittedPhysics, name: str, system: System, rates: torch.Tensor, at: int
+    own: LogLikelihood,
+    place: FittedPhysics,
+    name: str,
+    start: Start,
+    there: tuple[torch.Tensor, torch.Tensor],
+    at: int,
 ) -> tuple[_Entry, torch.Tensor]:
-    """What a candidate does to the steps: by its start, beside the physics with these rates, and by each parameter."""
-    own, labels = place.at.of.of(system, place.at.of.space.estimates), place.best.vector.labels
-    space, vector, about = own.space, own.vector, place.at.about
-    first = vector.first_values(dict(zip(labels, place.best.theta.tolist(), strict=True)))
+    """What a candidate does to the steps: by its start, beside the physics, and by each parameter.
+
+    `own` is the likelihood with it, `there` are states in the middle of the steps, and the rates of the physics there.
+    """
+    space, vector, about, labels = own.space, own.vector, place.at.about, place.best.vector.labels
+    known = dict(zip(labels, place.best.theta.tolist(), strict=True))
+    for key, value in start.items():
+        alike = [j for j in vector.of(name) if own_name(vector.labels[j]) == key]
+        each = value if isinstance(value, list) else [value] * len(alike)
+        known |= dict(zip((vector.labels[j] for j in alike), each, strict=True))
     vector.limit(own.sizes)
-    theta, mine = vector.inside(first), vector.of(name)
+    theta, mine = vector.inside(vector.first_values(known)), vector.of(name)
     space.use(theta)
-    moved = space.columns(about.x, about.slopes, mine, about.after, rates)
+    moved = space.columns(about.x, about.slopes, mine, middle=there[0], beside=there[1])
     missing = [j for j, label in enumerate(labels) if label not in vector.labels]
     places = tuple(range(at, at + 1 + len(mine))), tuple(vector.labels[j] for j in mine)
     values = theta[mine], vector.low[mine], vector.high[mine]
-    return _Entry(name, system, *places, *values, 1 + np.array(missing, dtype=np.int64)), moved
+    return _Entry(name, start, *places, *values, 1 + np.array(missing, dtype=np.int64)), moved
 
 
 @dataclass(frozen=True)
@@ -856,7 +885,9 @@ def _stepped(table: GramTable, entry: _Entry, columns: tuple[int, ...]) -> _Step
     return _Step(entry, free, values, blocks, fitted, error, rank)
 
 
-def _proposed(search: Search, table: GramTable, step: _Step, among: int, longest: int) -> Explained:
+def _proposed(
+    search: Search, beside: System, table: GramTable, step: _Step, among: int, longest: int
+) -> Explained:
     """What a candidate explains by the best of its steps, of which there is one per start and choice."""
     entry, sizes = step.entry, effect_class(step.entry.name).size_names()
     p = float(chdtrc(max(len(step.columns) - 1, 1), max(2.0 * step.fitted, 0.0)))
@@ -868,7 +899,7 @@ def _proposed(search: Search, table: GramTable, step: _Step, among: int, longest
     values = dict(zip(entry.labels, step.values.tolist(), strict=True))
     sure = nats, step.error, step.rank, p, p < search.level("effects") and nats > 0
     known = dict(zip(labels, errors, strict=True))
-    return Explained(entry.name, entry.system, values, *sure, step.blocks, known)
+    return Explained(entry.name, beside, entry.start, values, *sure, step.blocks, known)
 
 
 def _set(system: System, values: Mapping[str, float]) -> None:

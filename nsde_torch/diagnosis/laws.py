@@ -142,7 +142,7 @@ def _sizes(parts: Sequence[str]) -> tuple[str, ...]:
 
 
 def with_places(system: System, names: Sequence[str]) -> list[str]:
-    """Some variables, then angles of their sines and cosines, places of the speeds and speeds of the places among them.
+    """Some variables, angles for their sines and cosines; then places of the speeds among them, speeds of the places.
 
     A friction that grows with the square of the place is odd in the speed, and shows nothing of the place.
     """
@@ -151,8 +151,9 @@ def with_places(system: System, names: Sequence[str]) -> list[str]:
         if at.position is not None:
             place, speed = states[at.position], states[at.velocity]
             beside |= {place: speed, speed: place}
-    angles = [n.removeprefix(f) for n in names for f in ("sin_", "cos_") if n.startswith(f)]
-    known = [*names, *(a for a in angles if a in states)]
+    # its sine and cosine are laws of the angle: `cos(theta) x_dot` and `x_dot cos_theta` were one law, and a tie
+    known = [n.removeprefix("sin_").removeprefix("cos_") for n in names]
+    known = [angle if angle in states else n for angle, n in zip(known, names, strict=True)]
     return list(dict.fromkeys((*known, *(beside[n] for n in known if n in beside))))
 
 

@@ -10,7 +10,11 @@ from dataclasses import dataclass
 
 from nsde_torch.effects.base import Port
 
-KINDS = ("rail", "joint", "axis")
+MOVING = ("rail", "joint", "axis")
+"""Kinds of coordinates that move."""
+STORE = "store"
+"""Kind of what is a level, a temperature, a charge or a voltage, and moves nothing."""
+KINDS = (*MOVING, STORE)
 
 
 @dataclass(frozen=True)
@@ -23,7 +27,7 @@ class Coordinate:
     position: str = ""  # state that is its position; empty where none is logged
     row: int = 0  # row of the port, where that has several
     kind: str = "joint"
-    """`rail` (along a line), `joint` (an angle within limits) or `axis` (turns without end)."""
+    """`rail` (along a line), `joint` (an angle within limits), `axis` (turns without end) or `store` (no motion)."""
     unit: str = ""
     """Unit of the port's row; empty: that of `residual_ports`, or unit of the velocity per second."""
     words: str = ""  # what reports call it: "the cart"; empty: its name

@@ -1,13 +1,14 @@
 """Forces of one coordinate: constant, periodic, elastic, of a hidden mass."""
 
 from abc import abstractmethod
-from math import pi
+from math import exp, expm1, pi
 from typing import ClassVar, final
 
 import torch
 from torch import Tensor
 
 from nsde_torch.effects.base import Effect, Parameter, Port, elapsed
+from nsde_torch.effects.coordinates import KINDS
 from nsde_torch.effects.law import Law
 
 
@@ -309,6 +310,84 @@ class HiddenMass(HiddenSwing, Law):
 
     def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         return self.pull(x, u, memory)
+
+
+class _Slow(Law):
+    """A law of what follows the velocity slowly: memory holds m, dm/dt = (v - m) / T."""
+
+    TIME: ClassVar[Parameter] = Parameter(1.0, "s", low=0.0, help="in which it follows")
+    shapes = {"time": (5.0, 20.0, 80.0, 320.0, 1280.0)}
+    relative = {"time": "step"}
+
+    @property
+    def n_memory(self) -> int:
+        """What follows."""
+        return 1
+
+    def memory_rate(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        return (self.v(x) - memory) / self.value("time")
+
+    def followed(self, x: Tensor, dt: float) -> Tensor:
+        """See `Effect.followed`; exact for a velocity that is a straight line between the rows."""
+        from scipy.signal import lfilter
+
+        v, ratio = self.v(x)[:, 0].double().numpy(), dt / float(self.value("time").detach())
+        stays = exp(-ratio)
+        mean = -expm1(-ratio) / ratio  # of what stays, over a step
+        start = float(self.memory_start(x[:1], x[:1])[0, 0])
+        follows = (mean - stays) * v[:-1] + (1.0 - mean) * v[1:]
+        rows = lfilter([1.0], [1.0, -stays], follows, zi=[stays * start])[0]
+        last = stays * (rows[-1] if len(rows) else start) + (1.0 - stays) * v[-1]
+        return torch.tensor([start, *rows, last], dtype=x.dtype)[:, None]
+
+
+@final
+class Relaxation(_Slow):
+    """What is stored beside a state and comes back late: a wall's heat, a battery's second relaxation, a fluid."""
+
+    name = "relaxation"
+    kinds = KINDS
+    formula = "c (m - v), dm/dt = (v - m) / T"
+    source = "two stores in exchange; Plett, Battery Management Systems, volume 1 (2015), on pairs of R and C"
+    PARAMETERS = {
+        "exchange": Parameter(0.1, "force/speed", low=0.0, help="with what is stored"),
+        "time": _Slow.TIME,
+    }
+    amplitudes = ("exchange",)
+    sentence = "Something that is not in the log follows {it} in {time}, and pulls it back with {exchange}."
+    separate = "take it away quickly and hold the inputs: it then drifts back towards where it was"
+
+    def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        return self.value("exchange") * (memory - self.v(x))
+
+    def memory_start(self, x: Tensor, u: Tensor) -> Tensor:
+        """See `Effect.memory_start`: in equilibrium."""
+        return self.v(x)
+
+
+@final
+class Viscoelasticity(_Slow):
+    """A spring behind a damper: rubber or a seal whose force fades where it is held."""
+
+    name = "viscoelasticity"
+    formula = "-k T m, dm/dt = (v - m) / T"
+    source = "Maxwell, Philosophical Transactions 157 (1867)"
+    PARAMETERS = {
+        "stiffness": Parameter(1.0, "force/position", low=0.0, help="against what is quick"),
+        "time": _Slow.TIME,
+    }
+    amplitudes = ("stiffness",)
+    sentence = (
+        "A spring of {stiffness} holds {it}, and gives way in {time} where it is held (viscoelasticity)."
+    )
+    separate = "move it at once and hold it there: the force fades"
+
+    def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        return -self.value("stiffness") * self.value("time") * memory
+
+    def memory_start(self, x: Tensor, u: Tensor) -> Tensor:
+        """See `Effect.memory_start`: without force."""
+        return torch.zeros_like(self.v(x))
 
 
 class PositionBias(Law):

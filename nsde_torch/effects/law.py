@@ -20,7 +20,7 @@ from torch import Tensor
 
 from nsde_torch.effects import units
 from nsde_torch.effects.base import Effect, Parameter, Port, in_row
-from nsde_torch.effects.coordinates import PLAIN, Bound
+from nsde_torch.effects.coordinates import MOVING, PLAIN, Bound
 from nsde_torch.errors import ConfigError
 
 AND = " + "
@@ -50,7 +50,7 @@ class Law(Effect):
     port = Port.FORCE
     at: ClassVar[Bound] = PLAIN  # the coordinate; that of the simplest machine where none was given
     law: ClassVar[type[Law]]  # the law itself, of a class that was made of it for one coordinate
-    kinds: ClassVar[tuple[str, ...]] = ()  # kinds of coordinates that it is for; empty: all
+    kinds: ClassVar[tuple[str, ...]] = MOVING  # kinds of coordinates that it is for
     reads_position: ClassVar[bool] = False  # whether it is for coordinates whose position is known alone
     reads_load: ClassVar[bool] = False  # whether it is for coordinates that say their load (`self.load(u)`)
     reads_chain: ClassVar[bool] = False  # whether it is for one of several angles (`at.chain`)
@@ -76,7 +76,7 @@ class Law(Effect):
     def suits(cls, at: Bound) -> bool:
         """Whether the law makes sense on a coordinate."""
         return (
-            (not cls.kinds or at.kind in cls.kinds)
+            at.kind in cls.kinds
             and (at.position is not None or not cls.reads_position)
             and (bool(at.load) or not cls.reads_load)
             and (bool(at.chain) or not cls.reads_chain)
@@ -111,7 +111,7 @@ def law_at(law: type[Law], at: Bound) -> type[Law]:
     if not law.suits(at):
         what = f"that has a {'`load`' if law.reads_load else '`position`'}"
         what = "that is one of several angles [rad] of a port" if law.reads_chain else what
-        what = f"of kind {' or '.join(law.kinds)}" if law.kinds and at.kind not in law.kinds else what
+        what = f"of kind {' or '.join(law.kinds)}" if at.kind not in law.kinds else what
         raise ConfigError(
             f"effect {law.name!r} is for a coordinate {what}; {at.declared or at.name!r} is of kind {at.kind}."
         )

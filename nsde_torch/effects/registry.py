@@ -10,7 +10,7 @@ from dataclasses import replace
 from nsde_torch.effects import actuators, cartpole, forces, friction, multirotor_forces
 from nsde_torch.effects.base import Effect, Port
 from nsde_torch.effects.by_run import BY_RUN, difference_class, target_of
-from nsde_torch.effects.coordinates import Bound
+from nsde_torch.effects.coordinates import STORE, Bound
 from nsde_torch.effects.expression import Expression, unplaced_expression
 from nsde_torch.effects.expression_grammar import is_law
 from nsde_torch.effects.law import Law, joined_name, law_at, split_name, unplaced
@@ -34,6 +34,8 @@ EFFECTS: dict[str, type[Effect]] = {
         forces.LinearSpring,
         forces.CubicStiffness,
         forces.HiddenMass,
+        forces.Viscoelasticity,
+        forces.Relaxation,
         friction.Hysteresis,
         forces.Ripple,
         forces.StopAbove,
@@ -230,7 +232,8 @@ def make_effect(
         raise ConfigError(
             f"effect {name!r} {what}; choose among: {', '.join(sorted(able)) or 'none'}.{did_you_mean(name, able)}"
         )
-    if issubclass(known.get(base, Effect), Law) and not coordinates:
+    law = known.get(base, Effect)
+    if issubclass(law, Law) and STORE not in law.kinds and all(at.kind == STORE for at in coordinates):
         able = effects_of(system, ports)
         raise ConfigError(
             f"effect {name!r} is a law of one coordinate and does not act on system {system!r}, which declares none: "

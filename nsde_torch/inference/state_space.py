@@ -352,6 +352,7 @@ class StateSpace:
         which: Sequence[int],
         after: Tensor | None = None,
         beside: Tensor | None = None,
+        middle: Tensor | None = None,
     ) -> Tensor:
         """What some parameters do to a step (T, C, ne, k) at states (T, C, nx).
 
@@ -364,9 +365,10 @@ class StateSpace:
             after: States after the undisturbed step, where they are known.
             beside: Rates of other physics in the middle of the same steps (`rates`): what this does beside it is then
                 the first of the columns (T, C, ne, 1 + k).
+            middle: States in the middle of the steps (T, C, nx), where they are known.
         """
         v = self.vector
-        there = self.midway(x, after)
+        there = self.midway(x, after) if middle is None else middle
         middle, base = _rows(there), _error_rate(v.system, _rows(there), self.rates(there))
         t, memory, u = self._in_the_middle()
         first = 0 if beside is None else 1

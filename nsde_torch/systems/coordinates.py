@@ -13,7 +13,7 @@ from torch import Tensor
 from nsde_torch.effects import units
 from nsde_torch.effects.base import Effect, Port
 from nsde_torch.effects.by_run import target_of
-from nsde_torch.effects.coordinates import KINDS, Bound, Coordinate
+from nsde_torch.effects.coordinates import KINDS, STORE, Bound, Coordinate
 from nsde_torch.effects.expression_grammar import is_law
 from nsde_torch.effects.law import Law
 from nsde_torch.effects.registry import effect_class, make_effect
@@ -34,6 +34,8 @@ SPEEDS = ("m/s", "rad/s", "deg/s")
 def bound_coordinates(cls: type[System]) -> tuple[Bound, ...]:
     """See `System.bound_coordinates`."""
     declared, states = cls.coordinates or _only(cls), list(cls.state_names)
+    if not declared:
+        return _stores(cls)
     names = [c.name for c in declared]
     twice = sorted({n for n in names if names.count(n) > 1})
     if twice:
@@ -126,6 +128,24 @@ def _only(cls: type[System]) -> tuple[Coordinate, ...]:
     return (Coordinate(q or v, v, port, position=q, kind="joint" if unit in _ANGLES else "rail"),)
 
 
+def _stores(cls: type[System]) -> tuple[Bound, ...]:
+    """The levels, temperatures and voltages of a machine that has no coordinates: what may be stored beside each.
+
+    None of a body in space, whose forces have effects of their own.
+    """
+    if Port.BODY_MOMENT in cls.ports:
+        return ()
+    positions = {q for q, _, _ in cls.position_derivatives}
+    named = [(k, n) for k, n in enumerate(cls.state_names) if n not in positions]
+    out = []
+    for k, n in named:
+        unit = cls.state_units[k]
+        of = (("position", f"{unit} s"), ("speed", unit), ("force", units.of("speed/s", {"speed": unit})))
+        place = (None, k, Port.RATE, k, len(cls.state_names))
+        out.append(Bound(n if len(named) > 1 else "", *place, STORE, of, n, "", n))
+    return tuple(out)
+
+
 def _pushes(cls: type[System], port: Port, speed: str) -> bool:
     """Whether the unit of a port is that of a force or torque, or of one over the inertia of this speed."""
     if port not in cls.residual_ports:
@@ -174,6 +194,8 @@ def check_pushes(system: System, x: Tensor, u: Tensor) -> None:
     with torch.no_grad():
         still = system.drift(0.0, z, u)
         for at in system.bound_coordinates():
+            if at.port is Port.RATE:
+                continue
             push = x.new_zeros(len(x), at.width)
             push[:, at.row] = 1.0
             change = (system.drift(0.0, z, u, {at.port: push}) - still)[:, : system.nx].median(0).values

@@ -153,12 +153,19 @@ def test_inputs_that_act_a_fraction_of_a_step_late_are_taken_into_account_and_no
 
 @pytest.mark.parametrize(
     ("kind", "own", "true"),
-    [("bouc_wen", "reach", 0.08), ("play", "gap", 0.25), ("delay", "delay", 0.04), ("coulomb", "size", 0.4)],
+    [
+        ("bouc_wen", "reach", 0.08),
+        ("play", "gap", 0.25),
+        ("delay", "delay", 0.04),
+        ("coulomb", "size", 0.4),
+        ("maxwell", "stiffness", 2.4),
+        ("fluid", "exchange", 1.6),
+    ],
 )
 @pytest.mark.slow
 def test_it_is_named_for_what_it_is(kind: str, own: str, true: float) -> None:
     late = 0.25 if kind == "play" else 0.04
-    values = {"k": 3.0, "b": 0.4, "g": 1.1, "size": 0.4, "reach": 0.08, "time": late}
+    values = {"k": 3.0, "b": 0.4, "g": 1.1, "size": 0.4, "reach": 0.08, "slow": 0.5, "time": late}
     runs = []
     for n in range(3):
         x, u = run(kind, values, np.random.default_rng([9, n]))

@@ -8,6 +8,7 @@ import torch
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
+from nsde_torch.effects import Law, effect_class
 from nsde_torch.effects.forces import HiddenMass
 from nsde_torch.effects.friction import Hysteresis, InputPlay
 from nsde_torch.effects.multirotor_forces import SlungLoad
@@ -196,9 +197,42 @@ TestHysteresis = contract("hysteresis", "mass_spring_damper", memory=1)
 TestInputPlay = contract("input_play", "mass_spring_damper", memory=1)
 
 
+TestRelaxation = contract("relaxation", "mass_spring_damper", memory=1)
+
+
+class TestViscoelasticity(EffectContract):
+    name, system, memory = "viscoelasticity", "mass_spring_damper", 1
+
+    def test_its_memory_starts_at_rest(self) -> None:
+        """Without force, whatever it moves at: what moved before the log is not known, and was to and fro."""
+        effect = self.make()
+        x, u, _ = self.rows(4)
+        assert effect(0.0, x, u, effect.memory_start(x, u)).tolist() == [[0.0]] * 4
+
+
 TestHiddenMass = contract("hidden_mass", "mass_spring_damper", memory=2)
 TestHiddenMassOfPole = contract("hidden_mass[pole]", "cartpole", memory=2)
 TestSlungLoad = contract("slung_load", "hexacopter", memory=4)
+
+
+@pytest.mark.parametrize(("name", "begins"), [("relaxation", 0.5), ("viscoelasticity", 0.0)])
+@pytest.mark.parametrize("time", [0.03, 4.0])
+def test_what_follows_slowly_is_that_of_the_differential_equation(
+    name: str, begins: float, time: float
+) -> None:
+    t = DT * np.arange(500)
+
+    def v(at: float | np.ndarray) -> np.ndarray:
+        return np.asarray(np.sin(2.0 * at) + 0.5 * np.cos(5.0 * at))
+
+    ends = np.append(t, t[-1] + DT)
+    found = solve_ivp(lambda at, m: (v(at) - m) / time, (0.0, ends[-1]), [begins], t_eval=ends, rtol=1e-9)
+    effect = effect_class(name)({"time": time}).double()
+    assert isinstance(effect, Law)
+    along = effect.followed(torch.from_numpy(np.column_stack([np.zeros_like(t), v(t)])), DT)
+    assert along is not None
+    np.testing.assert_allclose(along[:-1, 0], found.y[0][:-1], atol=5e-4)
+    assert effect.followed(torch.zeros(1, 2).double(), DT).shape == (2, 1)  # type: ignore[union-attr]
 
 
 @pytest.mark.parametrize("frequency", [0.5, 3.0])

@@ -1,0 +1,73 @@
+"""Machines that move nothing: what is stored beside a temperature, and comes back late."""
+
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+import torch
+from scipy.integrate import solve_ivp
+from torch import Tensor
+
+import nsde_torch
+from nsde_torch.data.raw import RawRun
+from nsde_torch.effects import Parameter, Port
+from nsde_torch.errors import ConfigError
+from nsde_torch.systems import Defaults, ResidualPort, System
+
+DT, LOSS, GAIN = 1.0, 0.02, 0.5
+
+
+class Room(System):
+    """T' = gain heater - loss T: the temperature of a room above the one outside."""
+
+    name = "room"
+    state_names, state_units = ("T",), ("K",)
+    input_names, input_units = ("heater",), ("kW",)
+    ports = {Port("heat"): 1}
+    residual_ports = {Port("heat"): ResidualPort(1, 0.1, "K/s")}
+    defaults = Defaults(DT, 20, (0.05,), 0.1, 1.0, "euler_maruyama")
+    sensor_noise = True
+    PARAMETERS = {"loss": Parameter(LOSS, "1/s", low=0.0), "gain": Parameter(GAIN, "K/(s kW)", low=0.0)}
+
+    def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
+        heat = self.value("gain") * u - self.value("loss") * x
+        return heat + forces[Port("heat")] if Port("heat") in forces else heat
+
+
+def warmed(exchange: float, time: float) -> list[RawRun]:
+    """Runs of a room whose wall takes heat up and gives it back."""
+    rng, t = np.random.default_rng(4), DT * np.arange(900)
+    out = []
+    for run in range(3):
+        heater = np.repeat(rng.uniform(0.0, 1.0, 30), 30)
+
+        def rates(at: float, y: np.ndarray, heater: np.ndarray = heater) -> list[float]:
+            room, wall = y
+            heat = GAIN * heater[min(int(at / DT + 1e-9), len(heater) - 1)] - LOSS * room
+            return [heat + exchange * (wall - room), (room - wall) / time]
+
+        found = solve_ivp(rates, (0.0, t[-1]), [5.0, 5.0], t_eval=t, max_step=DT, rtol=1e-8).y
+        x = found[:1].T + 0.02 * rng.normal(size=(len(t), 1))
+        out.append(RawRun(f"run_{run}", t + 2000.0 * run, x, heater[:, None]))
+    return out
+
+
+@pytest.mark.parametrize("exchange", [0.0, 0.015])
+def test_a_wall_that_stores_heat_is_found_and_none_where_there_is_none(exchange: float) -> None:
+    found = nsde_torch.diagnose(warmed(exchange, 120.0), system=Room, say=False).content()
+    assert found["added"] == (["relaxation"] if exchange else [])
+    if exchange:
+        for name, true in (("exchange", exchange), ("time", 120.0)):
+            low, high = found["parameters"][f"relaxation.{name}"]["interval_90"]
+            assert 0.97 * low < true < 1.03 * high < 1.5 * true
+
+
+def test_stores_of_a_machine_without_coordinates_have_no_friction() -> None:
+    assert "relaxation" in Room.able_effects()
+    assert "coulomb_friction" not in Room.able_effects()
+    with pytest.raises(ConfigError, match="declares none"):
+        Room().make_effect("coulomb_friction")
+    with torch.no_grad():
+        still = Room().with_effects(Room().make_effect("relaxation", {"exchange": 0.1, "time": 5.0}))
+        rate = still.drift(0.0, torch.tensor([[2.0, 1.0]]), torch.tensor([[0.0]]))
+    assert rate[0].tolist() == pytest.approx([-LOSS * 2.0 - 0.1, 0.2], rel=1e-5)

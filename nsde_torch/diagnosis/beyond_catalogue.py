@@ -56,7 +56,9 @@ from nsde_torch.inference.steps import Steps
 from nsde_torch.systems import System
 from nsde_torch.systems.vocabulary import seen_by, vocabulary
 
-_COUPLED = 10  # variables of which products of three are tried: a multirotor has thirty, and 4,000 products
+# variables of which products of three are tried, and laws before the catalogue has ended: a multirotor has thirty, and
+# 4,000 products
+_COUPLED = 10
 _CLOSE = 0.3  # share of the nats of the best term below which no further one is fitted
 
 
@@ -76,7 +78,7 @@ def with_laws(
     settings = search.search
     if not search.tries_laws:
         return outcome
-    laws, before = _LawSearch(search, of_functions), set(joint.selected)
+    laws, before = LawSearch(search, of_functions), set(joint.selected)
     joint = laws.named_by_the_catalogue(joint)  # laws that took the place of effects
     if joint.selected.keys() != before:
         outcome = conclude(joint)
@@ -105,13 +107,18 @@ def with_laws(
     )
 
 
-class _LawSearch:
+class LawSearch:
     """Adds laws to physics; remembers functions beside physics."""
 
     def __init__(self, search: JointSearch, of_functions: bool) -> None:
         self._search, self._of_functions = search, of_functions
         self._functions: dict[frozenset[str], Functions | None] = {}
         self._unseen: dict[frozenset[str], list[Term]] = {}
+
+    def first(self, place: FittedPhysics) -> FittedPhysics | None:
+        """See `Laws`; of machines of few variables, whose functions take a second and not half a minute."""
+        few = len(vocabulary(type(place.system)).variables) <= _COUPLED
+        return self._with_a_law(place, ()) if few and self._search.tries_laws else None
 
     def functions(self, place: FittedPhysics) -> Functions | None:
         """Functions beside some physics; None where they would say nothing."""

@@ -359,8 +359,8 @@ def sized(outcome: Outcome) -> Outcome:
     Evidence compares fits; intervals also hold what feedback and a smoother's band may have done to the values. And
     what is named beside physics all of which may be nothing imitates it: of a force a part of which is late, a hidden
     mass of 72 % was sure beside such a gain, stiffness and damping (odd_springs.py, "pull in the past"). A hidden mass
-    whose frequency is unknown is an inertia: of a crane whose rope is a quarter longer than its class says, one of
-    0.238 was sure, at 0.1 to 18 Hz.
+    that may hardly resonate is an inertia: of a crane whose rope is a quarter longer than its class says, one of 0.238
+    was sure, at 0.1 to 18 Hz; of a ball that is hollow one of 0.166, damped by 0.05 of the critical damping or more.
     """
     why, labels = "its size may be nothing by its interval", outcome.final.vector.labels
     declared = outcome.estimated(
@@ -368,20 +368,24 @@ def sized(outcome: Outcome) -> Outcome:
     )
     beside = "beside it all that is declared may be nothing, by its interval"
     beside = beside if declared and all(e.bound == "below" for e in declared) else ""
-    rigid = "its frequency is unknown: an inertia or a length that is declared wrong does the same"
 
     def doubt(f: Found) -> str:
-        return why if _may_be_nothing(outcome, f) else beside or rigid * _any_frequency(outcome, f)
+        return why if _may_be_nothing(outcome, f) else beside or _hardly_resonates(outcome, f)
 
     return outcome.provisional(doubt)
 
 
-def _any_frequency(outcome: Outcome, found: Found) -> bool:
-    """Whether a memory that a filter estimates may oscillate at nearly any frequency, by its interval."""
+def _hardly_resonates(outcome: Outcome, found: Found) -> str:
+    """Why a hidden mass is provisional that may have any frequency, or any damping, by its intervals."""
     if not effect_class(found.name).estimated:
-        return False
-    ends = [(e.low, e.high) for e in outcome.estimates(found.name) if e.unit == "Hz"]
-    return any(not low or not high or high > _ANY * low for low, high in ends)
+        return ""
+    each = outcome.estimates(found.name)
+    ends = [(e.low, e.high) for e in each if e.unit == "Hz"]
+    unknown = any(not low or not high or high > _ANY * low for low, high in ends)
+    if not unknown and not any(e.name.endswith(".damping") and e.bound == "above" for e in each):
+        return ""
+    share = next((f" {e.value:.0%} larger" for e in each if e.name.endswith(".mass") and e.value), "")
+    return f"it may hardly resonate: an inertia{share} or a length that is declared wrong does the same"
 
 
 def _may_be_nothing(outcome: Outcome, found: Found) -> bool:

@@ -3,7 +3,8 @@
     1, v^2, v^3, v^4, v^5, v, |v|, |v| v, sign v,   max(v - k, 0), min(v - k, 0) for zero and some k in the range of v,
     2 v k / (v^2 + k^2), which is largest at k,   exp(k v) - 1 of no speed,   sin n v, cos n v of an angle,
     a b, a^2 b, a b^2, |a| b, a |b|, max(a, 0) b, min(a, 0) b,
-    sin n a b, cos n a b, sin n a b^2, cos n a b^2 with an angle a and n = 1, 2,   and planes c1 a + c2 b
+    sin n a b, cos n a b, sin n a b^2, cos n a b^2 with an angle a and n = 1, 2,   planes c1 a + c2 b,
+    a sign b, a^2 sign b, |a| sign b, sin n a sign b, cos n a sign b with a speed b
 
 Each is written in the grammar of `effects.expression_grammar`; k and the width of a sign are fitted with the size. As a
 column of the joint likelihood a term moves a step as its value times the slope of the step in a force on its row of a
@@ -12,6 +13,7 @@ port, which the filter's linearisation holds already. A whole library costs one 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -34,6 +36,7 @@ _KNOTS = (0.05, 0.2, 0.5, 0.8, 0.95)  # quantiles that hinges start from
 _SELDOM = 0.01  # share of values of the other sign that is noise
 _WIDTH = 0.05  # of a sign, of the 90 % quantile of the variable
 _TURNS = (1, 2, 3)  # times an angle
+_CURVED = re.compile(r"(?:sign|peak)\((\w+), k1\)|expm1\(k1 (\w+)\)")  # at one end of k1: the variable
 # an eddy brake, largest at 8 rad/s, was five laws of the speed beside one another; a spring of rubber had no form
 _PEAKS = (0.2, 0.6)  # where a peak lies, of the same quantile
 _EXPONENTS = (-2.0, -0.7, 0.7, 2.0)  # at the same quantile
@@ -64,10 +67,21 @@ def terms_of(
             # two propellers that push a boat sideways: the product of both was named, which explained three quarters
             out.append(LawTerm((first, second)))
             for a, b in ((first, second), (second, first)):
-                if a in angles:
-                    waves = [f"{f}({turn}{a})" for f in ("sin", "cos") for turn in ("", "2 ")]
-                    out += [LawTerm((f"{wave} {p}",)) for wave in waves for p in (b, f"{b}^2")]
+                waves = (
+                    [f"{f}({turn}{a})" for f in ("sin", "cos") for turn in ("", "2 ")] if a in angles else []
+                )
+                out += [LawTerm((f"{wave} {p}",)) for wave in waves for p in (b, f"{b}^2")]
+                # guides of a lift that rub with the square of the height, a joint that rubs twice a turn, a cylinder
+                # whose seals rub by the pressure were Stribeck's friction and stops
+                if b in speeds and has_both_signs(values[b]):
+                    of_place = [a, f"{a}^2", *[f"abs({a})"][: a in signed], *waves]
+                    width = (("k1", _WIDTH * _size(values[b])),)
+                    out += [LawTerm((f"{text} sign({b}, k1)",), width) for text in of_place]
     return out
+
+
+def _size(v: Array) -> float:
+    return max(float(np.quantile(np.abs(v), 0.9)), 1e-12)
 
 
 def has_both_signs(v: Array) -> bool:
@@ -86,7 +100,7 @@ def _of_one(name: str, v: Array, angle: bool, speed: bool) -> Iterator[LawTerm]:
         yield LawTerm((text,))
     for text in (f"abs({name})", f"abs({name}) {name}") if signed else ():
         yield LawTerm((text,))
-    size = max(float(np.quantile(np.abs(v), 0.9)), 1e-12)
+    size = _size(v)
     yield LawTerm((f"sign({name}, k1)",), (("k1", _WIDTH * size),))
     for share in _PEAKS:
         yield LawTerm((f"peak({name}, k1)",), (("k1", share * size),))
@@ -133,8 +147,11 @@ class Term:
         return _sizes(self.parts)
 
     def contains(self, other: Term) -> bool:
-        """Whether another law is this one with a size of 0."""
-        return self.port == other.port and set(other.parts) < set(self.parts)
+        """Whether another law is this one with a size of 0, or at an end of its shape: a wide sign is a line."""
+        if self.port != other.port:
+            return False
+        straight = {_CURVED.sub(r"\1\2", part) for part in self.parts} if self.start else set[str]()
+        return set(other.parts) < set(self.parts) or set(other.parts) == straight
 
 
 def _sizes(parts: Sequence[str]) -> tuple[str, ...]:

@@ -32,7 +32,7 @@ from typing import final
 
 from nsde_torch.data import DataSet, Run
 from nsde_torch.diagnosis.between_runs import with_differences
-from nsde_torch.diagnosis.beyond_catalogue import with_laws
+from nsde_torch.diagnosis.beyond_catalogue import LawSearch, with_laws
 from nsde_torch.diagnosis.ceiling import Ceiling, ceiling, silent
 from nsde_torch.diagnosis.cross_validation import HeldOut, cross_validated, none_held_out
 from nsde_torch.diagnosis.decision import (
@@ -460,6 +460,7 @@ def _selected(
         driven = other.declared.best.driven
         if other.declared.best.worst(driven) < max(1.0, share * made.declared.best.worst(driven)):
             made = other
+    made.laws = LawSearch(made, not silent(log))
     found = _begun_anew(search, made.selected(physics, brought, partial(_so_far, search)))
     return made, found if search is whole else with_suspects(found, whole, log.system)
 

@@ -91,7 +91,7 @@ def bent_shape(regression: Regression, name: str) -> str:
     def bent(j: int) -> bool:
         own = own_name(v.labels[j])
         return bool(
-            high[j]
+            high[j] or (low[j] and own in effect.ends)
             if own in effect.relative or effect.estimated
             else low[j] and own in effect.shapes and isinstance(effect, Law)
         )

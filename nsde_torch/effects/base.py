@@ -254,6 +254,7 @@ class Effect(Parametrised, ABC):
     """Parameters whose `shapes` are multiples of a size of the data: `input`, `speed`, `rate` or `position` (95 %
     quantile of the absolute value that the effect sees), `step` (time between samples), or `spectrum` (frequencies are
     taken from the data, `shapes` has none)."""
+    ends: ClassVar[tuple[str, ...]] = ()  # `shapes` at whose lower bound it is another law, too
     resolved: ClassVar[Mapping[str, float]] = {}
     """Times of a memory -> the least multiple of a step at which explicit steps follow it."""
     includes: ClassVar[tuple[str, ...]] = ()

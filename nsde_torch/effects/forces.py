@@ -316,8 +316,11 @@ class _Slow(Law):
     """A law of what follows the velocity slowly: memory holds m, dm/dt = (v - m) / T."""
 
     TIME: ClassVar[Parameter] = Parameter(1.0, "s", low=0.0, help="in which it follows")
-    shapes = {"time": (5.0, 20.0, 80.0, 320.0, 1280.0)}
+    estimated = True
+    # of ten steps at least: what follows at once is inertia, or a friction (a ball that is hollow)
+    shapes = {"time": (40.0, 160.0, 640.0)}
     relative = {"time": "step"}
+    ends = ("time",)
 
     @property
     def n_memory(self) -> int:

@@ -547,6 +547,28 @@ class BatteryVoltage(Effect):
 
 
 @final
+class AxialInflow(Effect):
+    """Rotors that climb through the air give less thrust, and more where they sink."""
+
+    name = "axial_inflow"
+    port = Port.INPUT
+    needs = _MULTIROTOR
+    formula = "u_eff = u (1 - k v_z), v_z in the body"
+    source = (
+        "momentum theory in axial flight; Leishman, Principles of Helicopter Aerodynamics (2006), chapter 2"
+    )
+    PARAMETERS = {
+        "loss": Parameter(0.02, "s/m", low=0.0, scale=0.02, help="share lost by speed along the rotors' axis")
+    }
+    amplitudes = ("loss",)
+    sentence = "Climbing costs thrust: {loss}, as a share by speed along the axis of the rotors."
+    separate = "climb and sink fast, and roll, pitch and yaw meanwhile"
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        return -self.value("loss") * body_velocity(x)[:, 2:] * u
+
+
+@final
 class ThrustCurve(Effect):
     """Thrust is not proportional to the command: a second degree of the thrust map."""
 

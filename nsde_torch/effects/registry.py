@@ -81,6 +81,7 @@ EFFECTS: dict[str, type[Effect]] = {
         multirotor_forces.SupplySag,
         multirotor_forces.BatteryVoltage,
         multirotor_forces.ThrustCurve,
+        multirotor_forces.AxialInflow,
     )
 }
 

@@ -353,6 +353,7 @@ class StateSpace:
         after: Tensor | None = None,
         beside: Tensor | None = None,
         middle: Tensor | None = None,
+        here: Tensor | None = None,
     ) -> Tensor:
         """What some parameters do to a step (T, C, ne, k) at states (T, C, nx).
 
@@ -366,10 +367,12 @@ class StateSpace:
             beside: Rates of other physics in the middle of the same steps (`rates`): what this does beside it is then
                 the first of the columns (T, C, ne, 1 + k).
             middle: States in the middle of the steps (T, C, nx), where they are known.
+            here: Rates of this physics there (T C, nx), where they are known.
         """
         v = self.vector
         there = self.midway(x, after) if middle is None else middle
-        middle, base = _rows(there), _error_rate(v.system, _rows(there), self.rates(there))
+        middle = _rows(there)
+        base = _error_rate(v.system, middle, self.rates(there) if here is None else here)
         t, memory, u = self._in_the_middle()
         first = 0 if beside is None else 1
         out = base.new_empty(first + len(which), self.ne, len(middle))

@@ -164,7 +164,7 @@ def test_no_change_at_a_moment_is_sure_where_the_residual_depends_on_time() -> N
     [
         (0.0, 0.9, "beside it all that is declared may be nothing"),
         (0.3, 0.9, ""),
-        (0.3, 0.1, "its frequency is unknown: an inertia"),
+        (0.3, 0.1, "it may hardly resonate: an inertia 70% larger"),
     ],
 )
 def test_what_is_beside_physics_that_may_be_nothing_or_swings_at_any_frequency_is_provisional(

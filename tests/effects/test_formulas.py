@@ -31,6 +31,7 @@ TestThrustSag = contract("thrust_sag", HEXA)
 TestSupplySag = contract("supply_sag", HEXA)
 TestBatteryVoltage = contract("battery_voltage", HEXA)
 TestThrustCurve = contract("thrust_curve", HEXA)
+TestAxialInflow = contract("axial_inflow", QUAD)
 
 COMMANDS = [0.05, -0.3, 2.0, -2.0]
 

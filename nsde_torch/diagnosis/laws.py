@@ -4,7 +4,7 @@
     2 v k / (v^2 + k^2), which is largest at k,   exp(k v) - 1 of no speed,   sin n v, cos n v of an angle,
     a b, a^2 b, a b^2, |a| b, a |b|, max(a, 0) b, min(a, 0) b,
     sin n a b, cos n a b, sin n a b^2, cos n a b^2 with an angle a and n = 1, 2,   planes c1 a + c2 b,
-    a sign b, a^2 sign b, |a| sign b, sin n a sign b, cos n a sign b with a speed b
+    a sign b, a^2 sign b, |a| sign b, sin n a sign b, cos n a sign b with a speed b, each also beside c1 sign b
 
 Each is written in the grammar of `effects.expression_grammar`; k and the width of a sign are fitted with the size. As a
 column of the joint likelihood a term moves a step as its value times the slope of the step in a force on its row of a
@@ -76,7 +76,9 @@ def terms_of(
                 if b in speeds and has_both_signs(values[b]):
                     of_place = [a, f"{a}^2", *[f"abs({a})"][: a in signed], *waves]
                     width = (("k1", _WIDTH * _size(values[b])),)
-                    out += [LawTerm((f"{text} sign({b}, k1)",), width) for text in of_place]
+                    sign = f"sign({b}, k1)"
+                    out += [LawTerm((f"{text} {sign}",), width) for text in of_place]
+                    out += [LawTerm((sign, f"{text} {sign}"), width) for text in of_place]
     return out
 
 

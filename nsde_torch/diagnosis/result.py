@@ -659,11 +659,11 @@ def _law(outcome: Outcome, f: Found) -> dict[str, Any]:
 
 
 def looks_like(written: grammar.Written, values: dict[str, float], system: System) -> str | None:
-    """What a law of one term may be, by the kinds of its variables; None where nothing can be said."""
-    if len(written.right.parts) != 1:
-        return None
+    """What a law may be, by the kinds of its variables; None where nothing can be said."""
     every = list(grammar.nodes(written.right))
     names = {n.name for n in every if isinstance(n, grammar.Variable) and not n.logged}
+    if len(written.right.parts) != 1:
+        return "dry friction that depends on the place" if _calls(every, "sign") and len(names) > 1 else None
     if not any(isinstance(n, grammar.Variable) for n in every):
         return "what is always there: a load, a leak, a bias of an actuator"
     if "time" in names:

@@ -263,7 +263,7 @@ def _bent(regression: Regression, name: str) -> str:
 
     A mass that hardly resonates moves along: a ball that is hollow, and a pole that is 18 % longer, were hidden masses.
     """
-    shape = bent_shape(regression, name)
+    shape = bent_shape(regression.vector, regression.theta, name)
     if not shape:
         return ""
     why, labels = f"{shape} is at the end of what these data tell from another law", regression.vector.labels

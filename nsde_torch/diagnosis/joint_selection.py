@@ -39,7 +39,7 @@ from nsde_torch.diagnosis.candidates import (
 from nsde_torch.diagnosis.evidence import bonferroni, folds_of, sum_error
 from nsde_torch.diagnosis.gram_table import GramTable
 from nsde_torch.diagnosis.laws import Term, tables, terms_on
-from nsde_torch.diagnosis.search import Search, without_effect
+from nsde_torch.diagnosis.search import Search, acts_everywhere, bent_shape, without_effect
 from nsde_torch.effects import Effect, Law, effect_class
 from nsde_torch.effects.law import AND
 from nsde_torch.errors import NsdeError
@@ -710,9 +710,14 @@ class JointSearch:
             gained = _compared(self.search, name, rival, place, there)
             if gained > 0 and (best is None or gained > best[0]):
                 best = gained, there
-            elif not gained:
+            elif not gained and not self._another_law(rival, there):
                 alike.append(rival)
         return alike, None if best is None else best[1]
+
+    def _another_law(self, name: str, place: FittedPhysics) -> bool:
+        """Whether an effect of some physics is, as it is fitted, another law under its name."""
+        bent = bent_shape(place.best.vector, place.best.theta, name)
+        return bool(bent) or acts_everywhere(self.search.steps, place.system, name)
 
     def _as_likely(self, place: FittedPhysics, without: FittedPhysics) -> float:
         """Log likelihood below which nothing in the place of an effect is as likely, also with fewer parameters."""

@@ -12,7 +12,7 @@ from nsde_torch.data import Run
 from nsde_torch.diagnosis.candidates import on_coordinates
 from nsde_torch.diagnosis.decisions import BUDGETS, Budgets, Decisions, Options
 from nsde_torch.effects import Effect, Law, effect_class, register
-from nsde_torch.inference.steps import steps_of
+from nsde_torch.inference.steps import Steps, steps_of
 from nsde_torch.progress import Say
 from nsde_torch.recording.fault import STAGES, level
 from nsde_torch.sysid.physics import Physics
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from nsde_torch.diagnosis.outcome import Outcome
 
 _AT_BOUND = 2e-6  # typical sizes from a bound; the optimiser keeps values a millionth off it
+_EVERYWHERE = 0.95  # of the rows, which are nearly all
 _MOVES = 1e-6  # of the largest slope of a parameter: below that is rounding
 
 
@@ -76,17 +77,15 @@ def at_bounds(regression: Regression) -> Mask:
     return np.asarray((regression.theta <= v.low + margin) | (regression.theta >= v.high - margin))
 
 
-def bent_shape(regression: Regression, name: str) -> str:
+def bent_shape(v: ParameterVector, theta: Array, name: str) -> str:
     """Label of a shape of an effect that is at the end of what the data distinguish from another law; empty if none.
 
     A friction that is developed only beyond the speeds of the data is no dry one, whatever explains the data; a force
     that repeats less than once in a turn does not repeat; and what hardly resonates is no hidden mass (beside dry
     friction one of 1.6 %, damped by 0.8 of the critical damping, was sure, where Dahl's friction was all there was).
     """
-    v = regression.vector
-    (effect,) = (e for e in v.system.effects if isinstance(e, Effect) and e.name == name)
-    low = regression.theta <= v.low + _AT_BOUND * v.scale
-    high = regression.theta >= v.high - _AT_BOUND * v.scale
+    effect = next(e for e in v.system.effects if isinstance(e, Effect) and e.name == name)
+    low, high = theta <= v.low + _AT_BOUND * v.scale, theta >= v.high - _AT_BOUND * v.scale
 
     def bent(j: int) -> bool:
         own = own_name(v.labels[j])
@@ -97,6 +96,18 @@ def bent_shape(regression: Regression, name: str) -> str:
         )
 
     return next((v.labels[j] for j in v.of(name) if bent(j)), "")
+
+
+def acts_everywhere(steps: Steps, system: System, name: str) -> bool:
+    """Whether a law of one place acts in nearly all rows: a stop that all are beyond is a spring and a steady force.
+
+    It was as likely as the steady force alone, a tie (tests/diagnosis/test_report.py).
+    """
+    effect = next(e for e in system.effects if isinstance(e, Effect) and e.name == name)
+    if not (isinstance(effect, Law) and effect.local):
+        return False
+    x = steps.x0[:, : system.nx].to(next(effect.parameters()))
+    return float((effect.term(0.0, x, x[:, :0], x[:, :0]) != 0).double().mean()) > _EVERYWHERE
 
 
 def repeats_seldom(search: "Search", vector: ParameterVector, theta: Array, name: str) -> bool:

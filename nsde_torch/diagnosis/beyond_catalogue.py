@@ -393,8 +393,11 @@ def same_effect(steps: Steps, system: System, law: str) -> tuple[str, Start] | N
         if theirs.shape != mine.shape or not mine @ mine > 0:
             continue
         parts = np.stack([_pushes(steps, system, one) - theirs for one in more], 1)
-        off = mine - parts @ np.linalg.lstsq(parts, mine, rcond=1e-12)[0]
-        if float(off @ off) <= _SAME**2 * float(mine @ mine):
+        weights = np.linalg.lstsq(parts, mine, rcond=1e-12)[0]
+        off, whole = mine - parts @ weights, float(mine @ mine)
+        if cls.local and float(np.square(parts[:, 0] * weights[0]).sum()) <= _SAME**2 * whole:
+            continue  # a stop without stiffness is none
+        if float(off @ off) <= _SAME**2 * whole:
             found.append((name, shaped))
     return min(found, key=lambda one: len(effect_class(one[0]).PARAMETERS), default=None)
 

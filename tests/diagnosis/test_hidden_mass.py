@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from hidden_masses import spring
 from scipy.integrate import solve_ivp
 
 import nsde_torch
@@ -44,6 +45,16 @@ def test_noise_of_the_sensors_does_not_bias_a_hidden_mass_that_forces_hardly_mov
     expected = np.array([*values.values(), *true.values()])
     assert np.all(np.abs(found.theta - expected) < 3.0 * found.standard_errors)
     assert found.standard_errors[3] < 0.02
+
+
+@pytest.mark.slow
+def test_a_delay_that_stood_in_for_a_hidden_mass_leaves_when_it_is_there() -> None:
+    # kept, it cost 24 nats, which a relaxation brought that is not there
+    key, runs, true = spring(6)
+    found = nsde_torch.diagnose(runs, system="mass_spring_damper", say=False)
+    assert found.added == [key]
+    assert found.parameters[f"{key}.mass"]["value"] == pytest.approx(true["mass"], rel=0.02)
+    assert not found.content()["aside"]
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 import nsde_torch
 from nsde_torch.data import RawRun
 from nsde_torch.diagnosis.decisions import Budgets, Decisions, Options
-from nsde_torch.diagnosis.laws import terms_of
+from nsde_torch.diagnosis.laws import Term, terms_of
 from nsde_torch.diagnosis.result import looks_like
 from nsde_torch.effects.expression_grammar import parse
 from nsde_torch.sysid.feedback_test import FeedbackTest
@@ -23,6 +23,21 @@ OUTSIDE = Path(__file__).parents[2] / "benchmarks" / "blind"
 LAW = "force = c1 q q_dot"
 HALF = "force = c1 max(q_dot, 0)^2"
 SHORT: dict[str, Any] = {"durations": (8.0,) * 4, "dt": 0.02}
+
+
+def test_a_friction_that_goes_with_the_place_is_a_law_and_a_wide_one_no_doubt_of_a_product() -> None:
+    rng = np.random.default_rng(0)
+    values = {"q": rng.normal(size=500), "v": rng.normal(size=500)}
+    parts = {term.parts for term in terms_of(["q", "v"], values, ["q"], ["v"])}
+    dry = "sign(v, k1)"
+    assert {(f"q^2 {dry}",), (f"cos(2 q) {dry}",), (dry, f"cos(2 q) {dry}")} <= parts
+    assert not any("sign(q" in part and "v" in part.replace(dry, "") for term in parts for part in term)
+    wide, product, other = (
+        Term(text, (text,), {"k1": 1.0} if "k1" in text else {}, 0) for text in (f"q^2 {dry}", "q^2 v", "q v")
+    )
+    assert wide.contains(product)
+    assert not product.contains(wide)
+    assert not wide.contains(other)
 
 
 def finding(content: dict[str, Any], name: str) -> dict[str, Any]:
@@ -38,6 +53,7 @@ def held(content: dict[str, Any], label: str, value: float, slack: float = 0.0) 
 def test_a_product_that_no_catalogue_has_is_found_added_verified_and_written(tmp_path: Path) -> None:
     found, content = diagnosed("mass_spring_damper", {LAW: {"c1": 0.8}}, **SHORT)
     assert (content["verdict"], content["added"]) == ("effect_found", [LAW])
+    assert not any(row["chosen"] for row in content["ranking"]), "the law came before what imitates it"
     own = finding(content, LAW)
     assert (own["kind"], own["verified"], own["lead"]) == ("formula", True, False)
     assert own["latex"].endswith(r"\,q\,\dot{q}")

@@ -197,12 +197,16 @@ def swung(run: RawRun, *, bias: float = 0.0, tired: float = 0.0) -> RawRun:
          {"order": (31.0, 0.01, 0.1)}),
         (stop, {**LONG, "size": 0.4}, {}, ENDS, "stop_above",
          {"stiffness": (60.0, 0.3, np.inf), "end": (0.3, 0.002, np.inf)}),
+        (lambda q, v: -(0.3 + 0.2 * np.cos(2.0 * q)) * np.tanh(v / 0.05), {**FREE, "size": 1.0}, {}, None,
+         "torque = c1 sign(theta_dot, k1) + c2 cos(2 theta) sign(theta_dot, k1)",
+         {"c1": (-0.3, 0.005, 0.05), "c2": (-0.2, 0.005, 0.05)}),
         (lambda q, v: 0.0, {**LONG, "size": 1.0}, {"bias": 0.04}, None, "position_bias",
          {"bias": (0.04, 0.0003, 0.003)}),
         (lambda q, v: 0.0, {**FREE, "size": 0.6}, {"tired": 0.01}, None, "actuator_gain_drift",
          {"rate": (-0.01, 0.0002, np.inf)}),
     ],
-    ids=["cogging over many turns", "teeth of any number", "a stop on one side", "an encoder off its zero", "it tires"],
+    ids=["cogging over many turns", "teeth of any number", "a stop on one side", "friction of the place",
+         "an encoder off its zero", "it tires"],
 )  # fmt: skip
 @pytest.mark.slow
 def test_what_turns_a_pendulum_beside_its_motor_is_named_with_its_size(

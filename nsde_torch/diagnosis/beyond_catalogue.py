@@ -90,13 +90,14 @@ def with_laws(
     names = [f.name for f in outcome.found if f.name in joint.selected] if of_functions else []
     near = [(name,) for name in names if joint.selected[name].law]
     alike = [pair for pair in combinations(names, 2) if of_one_variable(joint.final.system, pair)]
-    likelier, as_good = settings.decisions.alike_nats, -settings.decisions.wider_nats
-    for replaced, least in (*((one, likelier) for one in near), *((pair, as_good) for pair in alike)):
+    for replaced in (*near, *alike):
         settings.say(f"trying laws in the place of {AND.join(replaced)}", 0, 1)
         other = laws.selected(joint, replaced)
         if other is None or len(other.selected) > len(joint.selected) - len(replaced) + 1:
             continue
-        if other.final.best.likelihood > joint.final.best.likelihood + least:
+        # with fewer parameters it need not be surely likelier: damping on one side was a stop without stiffness
+        fewer = len(other.final.best.free) < len(joint.final.best.free)
+        if other.final.value > joint.final.value + (0.0 if fewer else settings.decisions.alike_nats):
             return conclude(other)
     if of_functions:
         settings.say("functions of what was measured", 0, 1)

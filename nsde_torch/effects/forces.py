@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from nsde_torch.effects.base import Effect, Parameter, Port, elapsed
-from nsde_torch.effects.coordinates import KINDS
+from nsde_torch.effects.coordinates import KINDS, Bound
 from nsde_torch.effects.law import Law
 
 
@@ -137,6 +137,7 @@ class Ripple(Law):
     amplitudes = ("sine", "cosine")
     # over many turns an order is not reached from the next one (tests/diagnosis/test_own_machines.py)
     shapes = {"order": tuple(map(float, range(1, 25)))}
+    includes = ("gravity_torque",)
     sentence = "A force on {it} repeats {order} times a turn (sine {sine}, cosine {cosine})."
     separate = "turn slowly through the whole range, to and fro"
 
@@ -230,6 +231,42 @@ class LinkWeight(Law):
         rows = torch.zeros(self.at.width, dtype=x.dtype, device=x.device)
         rows[[row for row, _ in self.at.chain]] = 1.0
         return self.term(t, x, u, memory) * rows
+
+
+@final
+class GravityTorque(Law):
+    """Weight beside the axis of one joint: a pendulum that is heavier or longer than declared, or leans otherwise.
+
+    Of a Furuta pendulum whose weight was a fifth too small it was a `ripple` of order 0.997, provisional.
+    """
+
+    name = "gravity_torque"
+    kinds = ("joint", "axis")
+    reads_position = True
+    formula = "a sin(q) + b cos(q)"
+    source = "gravity term of a pendulum; Craig, Introduction to Robotics (2005), chapter 6"
+    PARAMETERS = {
+        "sine": Parameter(0.0, "force", scale=0.1, help="part that is nothing at the origin"),
+        "cosine": Parameter(0.0, "force", scale=0.1, help="part that is largest at the origin"),
+    }
+    along = "position"
+    amplitudes = ("sine", "cosine")
+    sentence = "A weight that is not declared turns {it} (sine {sine}, cosine {cosine})."
+    separate = "let it hang, and hold it in several postures"
+
+    @classmethod
+    def suits(cls, at: Bound) -> bool:
+        """Whether it is an angle, and not the first of a chain, whose `link_weight` it is."""
+        return super().suits(at) and dict(at.units)["position"] == "rad" and len(at.chain) != 1
+
+    @classmethod
+    def no_candidate(cls, system: str) -> str:
+        """See `Effect.no_candidate`."""
+        return "gravity and track_tilt are that" if system == "cartpole" else ""
+
+    def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        q = self.q(x)
+        return self.value("sine") * torch.sin(q) + self.value("cosine") * torch.cos(q)
 
 
 # Springs on one coordinate; q is its position.

@@ -41,6 +41,7 @@ EFFECTS: dict[str, type[Effect]] = {
         forces.StopAbove,
         forces.StopBelow,
         forces.LinkWeight,
+        forces.GravityTorque,
         forces.PositionBias,
         # the input of any system
         actuators.InputDelay,

@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from nsde_torch.diagnosis.candidates import candidate_names, on_coordinates
+from nsde_torch.diagnosis.candidates import candidate_names, on_coordinates, why_not
 from nsde_torch.effects import (
     Coordinate,
     Effect,
@@ -104,6 +104,16 @@ class TestStopAbove(EffectContract):
 
 
 TestStopBelow = contract("stop_below[q2]", HOME)
+
+
+class TestGravityTorque(EffectContract):
+    name, system = "gravity_torque[q2]", HOME
+
+    def test_it_is_no_candidate_where_the_first_link_of_a_chain_or_gravity_itself_is(self) -> None:
+        able = TwoJoints.able_effects()
+        assert "gravity_torque[q2]" in able
+        assert "gravity_torque[q1]" not in able
+        assert "gravity and track_tilt" in why_not(make_system("cartpole"), "gravity_torque[pole]")
 
 
 class TestLinkWeight(EffectContract):

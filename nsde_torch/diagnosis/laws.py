@@ -1,7 +1,8 @@
 """The library of terms that laws are built from, and what each would explain beside physics.
 
     1, v^2, v^3, v^4, v^5, v, |v|, |v| v, sign v,   max(v - k, 0), min(v - k, 0) for zero and some k in the range of v,
-    2 v k / (v^2 + k^2), which is largest at k,   exp(k v) - 1 of no speed,   sin n v, cos n v of an angle,
+    2 v k / (v^2 + k^2), which is largest at k,   what pulls to a place of no speed, d / k exp(1/2 - d^2 / (2 k^2)),
+    exp(k v) - 1 of no speed,   sin n v, cos n v of an angle,
     a b, a^2 b, a b^2, |a| b, a |b|, max(a, 0) b, min(a, 0) b,
     sin n a b, cos n a b, sin n a b^2, cos n a b^2 with an angle a and n = 1, 2,   planes c1 a + c2 b,
     a sign b, a^2 sign b, |a| sign b, sin n a sign b, cos n a sign b with a speed b, each also beside c1 sign b
@@ -16,6 +17,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 import torch
@@ -39,6 +41,8 @@ _TURNS = (1, 2, 3)  # times an angle
 _CURVED = re.compile(r"(?:sign|peak)\((\w+), k1\)|expm1\(k1 (\w+)\)")  # at one end of k1: the variable
 # an eddy brake, largest at 8 rad/s, was five laws of the speed beside one another; a spring of rubber had no form
 _PEAKS = (0.2, 0.6)  # where a peak lies, of the same quantile
+_PLACES = tuple(k / 12.0 for k in range(1, 12))  # quantiles that pulls start from
+_PULLS = (0.03, 0.08, 0.2)  # and how far these reach, of the range
 _EXPONENTS = (-2.0, -0.7, 0.7, 2.0)  # at the same quantile
 
 
@@ -115,6 +119,10 @@ def _of_one(name: str, v: Array, angle: bool, speed: bool) -> Iterator[LawTerm]:
             yield LawTerm((f"{side}({name}, 0)^2",))
         for knot in np.quantile(v, _KNOTS):
             yield LawTerm((f"{side}({name} - k1, 0)",), (("k1", float(knot)),))
+    # magnets beside a rail were eight terms that cancelled one another
+    for knot, share in product(np.quantile(v, _PLACES), _PULLS) if not speed else ():
+        start = ("k1", float(knot)), ("k2", share * float(np.ptp(v)))
+        yield LawTerm((f"pull({name} - k1, k2)",), start)
     for turns in _TURNS if angle else ():
         inner = name if turns == 1 else f"{turns} {name}"
         yield from (LawTerm((f"sin({inner})",)), LawTerm((f"cos({inner})",)))

@@ -698,6 +698,8 @@ def _of_place(
     """What a force that depends on places alone may be."""
     if len(names) > 1:
         return "a spring between coordinates"
+    if _calls(every, "pull"):
+        return "what pulls to one place, or pushes away from it: a magnet, a detent"
     hinge = _calls(every, "max", "min")
     if hinge is None:
         if _calls(every, "expm1"):

@@ -62,6 +62,7 @@ _OF_THE_LOG = (*_TURNED, "position_bias[pole]")
 _LATER = (  # than the committed seeds, whose draws stay what they were
     "relaxation",
     "viscoelasticity",
+    "added_inertia",
     "gravity_torque",
     "axial_inflow",
     "rotor_drag",

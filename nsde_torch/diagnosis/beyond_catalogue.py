@@ -119,11 +119,16 @@ class LawSearch:
         self._search, self._of_functions = search, of_functions
         self._functions: dict[frozenset[str], Functions | None] = {}
         self._unseen: dict[frozenset[str], list[Term]] = {}
+        self._waits = False
+
+    def lost(self) -> None:
+        """See `Laws`; where functions say which variables laws are tried of, they wait for the catalogue to end."""
+        self._waits = not _all_variables(self._search.declared.system)
 
     def first(self, place: FittedPhysics) -> FittedPhysics | None:
         """See `Laws`; of machines of few variables, whose functions take a second and not half a minute."""
         few = len(vocabulary(type(place.system)).variables) <= _COUPLED
-        if not few or not self._search.tries_laws or not self._of_functions:
+        if self._waits or not few or not self._search.tries_laws or not self._of_functions:
             return None
         return self._with_a_law(place, (), 0.0 if _all_variables(place.system) else None)
 

@@ -214,6 +214,9 @@ class Laws(Protocol):
     def first(self, place: FittedPhysics) -> FittedPhysics | None:
         """Physics with the law that explains most beside them, if it may be asked before the catalogue has ended."""
 
+    def lost(self) -> None:
+        """An effect of the catalogue was likelier."""
+
 
 @final
 class JointSearch:
@@ -342,7 +345,7 @@ class JointSearch:
         """The physics with one more effect, or with a law that is surely likelier.
 
         Seven effects of the catalogue made up for a cable between two joints, 440 nats of 3,000, before its law was
-        looked for. After a round that an effect wins, laws wait until no effect is left.
+        looked for.
         """
         if better is None or self.laws is None:
             return better
@@ -354,7 +357,7 @@ class JointSearch:
             least = sure_nats(self.search, sum_error(difference)) + log(max(len(self.libraries[name]), 1))
             if float(difference.sum()) - 0.5 * more * log(len(difference)) > least:
                 return law
-        self.laws = None
+        self.laws.lost()
         return better
 
     def chosen(self, law: str, fitted: Sequence[Term], library: Sequence[Term]) -> None:

@@ -1,6 +1,7 @@
 """The library of terms that laws are built from, and what each would explain beside physics.
 
-    1, v^2, v^3, v^4, v^5, v, |v|, |v| v, sign v,   max(v - k, 0), min(v - k, 0) for zero and some k in the range of v,
+    1, v^2, v^3, v^4, v^5, v, c1 + c2 v, |v|, |v| v, sign v,
+    max(v - k, 0), min(v - k, 0) for zero and some k in the range of v,
     2 v k / (v^2 + k^2), which is largest at k,   what pulls to a place of no speed, d / k exp(1/2 - d^2 / (2 k^2)),
     exp(k v) - 1 of no speed,   sin n v, cos n v of an angle,
     a b, a^2 b, a b^2, |a| b, a |b|, max(a, 0) b, min(a, 0) b,
@@ -104,6 +105,7 @@ def _of_one(name: str, v: Array, angle: bool, speed: bool) -> Iterator[LawTerm]:
     signed = has_both_signs(v)
     for text in (name, *(f"{name}^{n}" for n in (2, 3, 4, 5))):
         yield LawTerm((text,))
+    yield LawTerm(("", name))  # what is lost to the surroundings
     for text in (f"abs({name})", f"abs({name}) {name}") if signed else ():
         yield LawTerm((text,))
     size = _size(v)

@@ -24,6 +24,7 @@ class ActuatorDeadband(Effect):
     """Commands near zero do nothing, and larger ones lose as much."""
 
     name = "actuator_deadband"
+    around_zero = True
     each_input = True
     port = Port.INPUT
     stage = 1
@@ -57,6 +58,7 @@ class AsymmetricDeadband(Effect):
     """Commands near zero do nothing, over another width on each side of zero."""
 
     name = "asymmetric_deadband"
+    around_zero = True
     port = Port.INPUT
     stage = 1
     excludes = (Port.BODY_MOMENT,)  # motors in flight are far above it
@@ -145,6 +147,7 @@ class AsymmetricGain(Effect):
     """An input that acts more strongly in one direction than in the other."""
 
     name = "asymmetric_gain"
+    around_zero = True
     each_input = True
     port = Port.INPUT
     stage = 1

@@ -60,8 +60,9 @@ class Port(str, Enum):
     A system of the user's own may have a port of its own: `Port("tail_force")` is the same object everywhere. On
     `input`, `rate` and `position` an effect can act whatever the system: `rate` adds to the rate of the whole state,
     (N, nx) in the units of the states per second; leave the columns of the kinematics at zero. `position` adds to the
-    state (N, nx) at which all physics is worked out: what a sensor reads too much, with the other sign. `parameter` is
-    that of what differs between runs (`by_run`).
+    state (N, nx) at which all physics is worked out: what a sensor reads too much, with the other sign. `inertia` adds
+    a share (N, nx) of the rate of the state that all else makes. `parameter` is that of what differs between runs
+    (`by_run`).
     """
 
     FORCE = "force"
@@ -75,6 +76,7 @@ class Port(str, Enum):
     PARAMETER = "parameter"
     INPUT = "input"
     RATE = "rate"
+    INERTIA = "inertia"
 
     @classmethod
     def _missing_(cls, value: object) -> Port | None:
@@ -267,6 +269,8 @@ class Effect(Parametrised, ABC):
     together represent a third that nobody listed."""
     each_input: ClassVar[bool] = False
     """Whether one input of several may have it alone (see `effects.one_input`)."""
+    around_zero: ClassVar[bool] = False
+    """Whether it is about inputs near zero. Of inputs that stay far from it, a dead band is an offset."""
     local: ClassVar[bool] = False
     """Whether it acts in one place alone. The data may never have reached it: that they do not show it says nothing."""
     drifts: ClassVar[bool] = False  # whether it grows with the time of the log
@@ -297,7 +301,7 @@ class Effect(Parametrised, ABC):
     def fits(cls, system: str, ports: Collection[Port]) -> bool:
         """Whether the effect is meant for a system of this name and these ports."""
         named = not cls.systems or system in cls.systems
-        has = {*ports, Port.INPUT, Port.RATE, Port.POSITION}
+        has = {*ports, Port.INPUT, Port.RATE, Port.INERTIA, Port.POSITION}
         return named and {cls.port, *cls.needs} <= has and not set(cls.excludes) & set(ports)
 
     @classmethod

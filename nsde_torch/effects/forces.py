@@ -430,6 +430,42 @@ class Viscoelasticity(_Slow):
         return torch.zeros_like(self.v(x))
 
 
+class AddedInertia(Law):
+    """What moves is heavier or longer than declared: it accelerates by a share less, whatever pushes it.
+
+    A ball that is hollow, a pole that is longer and a rope of another length were hidden masses that hardly resonate.
+    """
+
+    name = "added_inertia"
+    port = Port.INERTIA
+    formula = "-s v', of the acceleration that all else makes"
+    source = "Newton's second law with another inertia"
+    PARAMETERS = {
+        "share": Parameter(
+            0.0, "1", low=-1.0, high=0.9, scale=0.1, help="of the acceleration that is missing"
+        )
+    }
+    amplitudes = ("share",)
+    sentence = (
+        "{it} accelerates by a share of {share} less than declared: its inertia or its length is larger, or a constant "
+        "of its equation is another one."
+    )
+    separate = "weigh and measure it, or swing it freely"
+
+    @classmethod
+    def no_candidate(cls, system: str) -> str:
+        """See `Effect.no_candidate`."""
+        return "its parameters are that" if system in ("mass_spring_damper", "cartpole") else ""
+
+    def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        return -self.value("share").expand(x.shape[0], 1)
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        """The share of the rate of the whole state that it adds (N, nx)."""
+        k = self.at.velocity
+        return torch.nn.functional.pad(self.term(t, x, u, memory), (k, x.shape[1] - k - 1))
+
+
 class PositionBias(Law):
     """The sensor of a position reads too much, by the same everywhere: all physics is at the position that is."""
 

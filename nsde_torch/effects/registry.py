@@ -34,6 +34,7 @@ EFFECTS: dict[str, type[Effect]] = {
         forces.LinearSpring,
         forces.CubicStiffness,
         forces.HiddenMass,
+        forces.AddedInertia,
         forces.Viscoelasticity,
         forces.Relaxation,
         friction.Hysteresis,

@@ -233,6 +233,7 @@ def _stretches(runs: Sequence[Run]) -> Iterator[_Stretch]:
 _COLUMNS = {"position": 0, "speed": 1, "rate": 3}
 """Of effects of the user's own that are no laws of a coordinate."""
 _LEAST = 1e-6
+_SELDOM = 0.02  # share of the rows whose inputs are smaller than the least
 SLOW = 0.02  # share of the rows that are slower than a slow speed
 
 
@@ -244,7 +245,10 @@ def data_sizes(system: System, steps: Steps) -> dict[str, float]:
 
     out = {"input": size(steps.u[:, : system.nu]), "step": steps.dt}
     out |= {kind: size(steps.x0[:, k]) for kind, k in _COLUMNS.items() if k < system.nx}
-    out |= {joined_name("input", at.name): size(steps.u[:, at.column]) for at in system.single_inputs()}
+    out["least input"] = size(steps.u[:, : system.nu], _SELDOM)
+    for one in system.single_inputs():
+        out[joined_name("input", one.name)] = size(steps.u[:, one.column])
+        out[joined_name("least input", one.name)] = size(steps.u[:, one.column], _SELDOM)
     for at in system.bound_coordinates():
         out[joined_name("speed", at.name)] = size(steps.x0[:, at.velocity])
         out[joined_name("slow speed", at.name)] = size(steps.x0[:, at.velocity], SLOW)

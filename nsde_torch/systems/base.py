@@ -380,6 +380,8 @@ class System(Parametrised, ABC):
             rate = row_by_row(self, self.dynamics, t, x, command, forces)
         else:
             rate = row_by_row(self, partial(self.dynamics, t), x, command, forces)
+        if Port.INERTIA in forces:
+            rate = rate + rate * forces[Port.INERTIA]
         if Port.RATE in forces:
             rate = rate + forces[Port.RATE]
         return join_columns((rate, *(rates[k] for k in sorted(rates)))) if rates else rate

@@ -224,7 +224,8 @@ def check_effect(system: System, effect: Effect) -> None:
             f"effect {effect.name!r} was made for columns that are no coordinate of system {system.name!r}. Name it "
             f"in text, and it is made for the system: effects=[{effect.name!r}]."
         )
-    widths = {**system.ports, Port.INPUT: system.nu, Port.RATE: system.nx, Port.POSITION: system.nx}
+    every = dict.fromkeys((Port.RATE, Port.INERTIA, Port.POSITION), system.nx)
+    widths = {**system.ports, Port.INPUT: system.nu, **every}
     width = widths.get(effect.port)
     if width is None:
         return  # `Effect.fits` says so where it is made by name

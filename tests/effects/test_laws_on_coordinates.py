@@ -306,3 +306,14 @@ def test_pushing_a_coordinate_of_the_package_speeds_up_its_own_velocity() -> Non
             pushed[0, at.row] = 1.0
             change = system.drift(0.0, x, u, {at.port: pushed}) - system.drift(0.0, x, u)
             assert float(change[0, at.velocity].detach()) > 0
+
+
+class TestAddedInertia(EffectContract):
+    name, system = "added_inertia[q2]", HOME
+
+    def test_it_is_another_inertia_of_its_joint(self) -> None:
+        u = torch.tensor([[0.4, -0.7]])
+        heavy = make_system(HOME, values={"inertia": [0.5, 0.25]}).drift(0.0, X, u)
+        effect = {"effects": ["added_inertia[q2]"], "values": {"added_inertia[q2].share": 0.2}}
+        same = make_system(HOME, **effect).drift(0.0, X, u)
+        torch.testing.assert_close(same.detach(), heavy.detach())

@@ -62,8 +62,9 @@ class EffectContract:
     def width(self) -> int:
         """Columns of the effect's port."""
         s = self.machine()
+        of_states = dict.fromkeys((Port.RATE, Port.INERTIA, Port.POSITION), s.nx)
         port = self.effect.port
-        return {Port.INPUT: s.nu, Port.RATE: s.nx, Port.POSITION: s.nx}.get(port) or s.ports[port]
+        return {Port.INPUT: s.nu, **of_states}.get(port) or s.ports[port]
 
     def specs(self) -> Iterator[tuple[str, Parameter]]:
         yield from self.effect.PARAMETERS.items()

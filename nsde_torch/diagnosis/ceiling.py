@@ -67,7 +67,7 @@ def row_gains(at: Optimum, found: Functions, outcome: Outcome) -> tuple[RowGain,
     table = variables.values(at.x[counted], space.chunks.u[counted]).numpy()
     values = {name: table[:, k] for k, name in enumerate(variables.names)}
     moved = moved_channels_of(outcome.final, space.disturbances)
-    allowed = allowances_of_tests(outcome.test)
+    allowed = allowances_of_tests(outcome.test, outcome.known)
     rows = []
     for port, nats in found.nats.items():
         if outcome.doubted_channels & {*moved[port]}:

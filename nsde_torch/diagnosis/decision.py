@@ -25,6 +25,7 @@ from nsde_torch.diagnosis.feedback_bias import (
 from nsde_torch.diagnosis.joint_selection import FittedPhysics, JointSelection
 from nsde_torch.diagnosis.outcome import Estimate, Found, Outcome, Refuted, Verdict, found_by, undecided
 from nsde_torch.diagnosis.reading import Log
+from nsde_torch.diagnosis.regressors import BEFORE
 from nsde_torch.diagnosis.residual_tests import (
     Dependence,
     PhysicsResiduals,
@@ -38,7 +39,7 @@ from nsde_torch.effects import effect_class
 from nsde_torch.effects.by_run import BY_RUN, target_of
 from nsde_torch.effects.expression_grammar import is_law
 from nsde_torch.effects.law import split_name
-from nsde_torch.sysid.feedback_test import FeedbackTest
+from nsde_torch.sysid.feedback_test import ALPHA, FeedbackTest
 from nsde_torch.sysid.guard import Guarded, doubts_the_fit, guarded
 from nsde_torch.sysid.readings import LESS
 from nsde_torch.sysid.regression import Regression
@@ -155,7 +156,8 @@ def decide(search: Search, chosen: Outcome, alone: FittedPhysics | None = None) 
         before = overview(PhysicsResiduals(search, joint.declared, declared))
     after = [] if place is None else dependences(PhysicsResiduals(search, place, base))
     levels = search.levels(*(["effects"] if found else []))
-    allowed = allowances_of_tests(chosen.test)
+    known = _inputs_know(after, chosen.test)
+    allowed = allowances_of_tests(chosen.test, known)
     # what arithmetic leaves has structure, and means nothing
     left = [] if base.arithmetic else beyond_chance(after, allowed, alpha=levels["structure"])
     explained = 0.0 if joint is None else joint.final.best.likelihood - joint.declared.best.likelihood
@@ -179,8 +181,25 @@ def decide(search: Search, chosen: Outcome, alone: FittedPhysics | None = None) 
         before=after if before is None else before,
         after=after,
         structured=left,
+        known=known,
         levels=levels,
     )
+
+
+def _inputs_know(tests: Sequence[Dependence], test: FeedbackTest) -> frozenset[str]:
+    """Channels of a closed loop whose innovations inputs predict, and on which most is left of inputs a moment before.
+
+    No lag and no delay explained that, so the controller saw more than the log. Of a motor and of a ball on a beam of
+    which nothing was missing, whose loops ran faster on better sensors, "something has a memory", and both were
+    `unexplained`.
+    """
+    most: dict[str, Dependence] = {}
+    for d in tests:
+        if d.p < ALPHA and (d.channel not in most or d.excess > most[d.channel].excess):
+            most[d.channel] = d
+    if not (test.closed and test.predictive):
+        return frozenset()
+    return frozenset(c for c, d in most.items() if d.variable.endswith(BEFORE))
 
 
 def provisional_reason(

@@ -22,7 +22,7 @@ more beside what was found, all of that is a lead (docs/content/theory/likelihoo
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -83,13 +83,14 @@ def allowances(lengths: Mapping[str, Array], own: Sequence[int]) -> dict[str, fl
     return {c: float(np.square(z[own]).max(initial=0.0)) for c, z in lengths.items()}
 
 
-def allowances_of_tests(test: FeedbackTest) -> dict[str, float]:
-    """The same for what specification tests find.
+def allowances_of_tests(test: FeedbackTest, known: Collection[str] = ()) -> dict[str, float]:
+    """The same for what specification tests find, on channels of other sensors and those of which inputs are `known`.
 
     A state that was smoothed before it was logged, and restored, lacks what the controller saw of its noise. What
     inputs predict of its channel may be that.
     """
-    return {c: z**2 for c, z in test.hidden_from_tests.items()}
+    hidden = test.hidden
+    return {c: hidden[c] ** 2 for c in {*test.hidden_from_tests, *known} if c in hidden}
 
 
 def chance_beyond(

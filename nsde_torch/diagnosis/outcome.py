@@ -128,6 +128,8 @@ class Outcome:
     hidden: tuple[FeedbackBiased | Refuted, ...] = ()
     test: FeedbackTest = field(default_factory=FeedbackTest)
     """What the data say of the loop that they were recorded in, by `final`."""
+    known: frozenset[str] = frozenset()
+    """Channels on which what is left depends most of all on inputs a moment before, and no more than they may know."""
     of_band: Array | None = None
     """How far parameters of `final` depend on the band up to which smoothed states were restored (k,)."""
     # estimates to print in place of those of `final`: by signals from outside the loop, or of largest likelihood

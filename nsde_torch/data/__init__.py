@@ -5,7 +5,7 @@ Names are resolved on first use, so that torch loads only for windows and pyulog
 
 from typing import TYPE_CHECKING
 
-from nsde_torch.lazy import resolver
+from nsde_torch.lazy import names, resolver
 
 if TYPE_CHECKING:
     from nsde_torch.data.csv_folder import write_csv
@@ -17,20 +17,6 @@ if TYPE_CHECKING:
     from nsde_torch.data.unpickler import read_pickle
     from nsde_torch.data.windows import Windows
 
-__all__ = [
-    "READERS",
-    "DataSet",
-    "DataSummary",
-    "Finding",
-    "RawRun",
-    "Reader",
-    "Run",
-    "Split",
-    "SystemInfo",
-    "Windows",
-    "read_pickle",
-    "split",
-    "write_csv",
-]
+__all__ = names(__name__)
 
 __getattr__ = resolver(__name__)

@@ -2,15 +2,12 @@
 
 from typing import TYPE_CHECKING
 
-from nsde_torch.lazy import resolver
+from nsde_torch.lazy import names, resolver
 
 if TYPE_CHECKING:
     from nsde_torch.export.exported import ExportedController
     from nsde_torch.export.write import export
 
-__all__ = [
-    "ExportedController",
-    "export",
-]
+__all__ = names(__name__)
 
 __getattr__ = resolver(__name__)

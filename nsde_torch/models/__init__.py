@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from nsde_torch.lazy import resolver
+from nsde_torch.lazy import names, resolver
 
 if TYPE_CHECKING:
     from nsde_torch.models.ensemble import EnsembleSpec, GaussianEnsemble
@@ -21,31 +21,6 @@ if TYPE_CHECKING:
     )
     from nsde_torch.models.run_directory import load, make_model, make_spec, save
 
-__all__ = [
-    "MODELS",
-    "BlackboxOptions",
-    "Capabilities",
-    "Choice",
-    "EnsembleOptions",
-    "EnsembleSpec",
-    "GaussianEnsemble",
-    "IdentifiedModel",
-    "Model",
-    "ModelKind",
-    "ModelOptions",
-    "ModelSpec",
-    "NeuralSDE",
-    "NodeOptions",
-    "NsdeOptions",
-    "SDESpec",
-    "SysidOptions",
-    "SysidSpec",
-    "load",
-    "make_model",
-    "make_spec",
-    "model_kind",
-    "model_options",
-    "save",
-]
+__all__ = names(__name__)
 
 __getattr__ = resolver(__name__)

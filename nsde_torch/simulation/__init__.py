@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from nsde_torch.lazy import resolver
+from nsde_torch.lazy import names, resolver
 
 if TYPE_CHECKING:
     from nsde_torch.simulation.cartpole import SwingUp, cartpole_episodes
@@ -16,23 +16,6 @@ if TYPE_CHECKING:
     from nsde_torch.simulation.registry import simulated
     from nsde_torch.simulation.replay import Replay
 
-__all__ = [
-    "LearnedPlant",
-    "Making",
-    "Plant",
-    "Replay",
-    "ReplayOptions",
-    "Simulation",
-    "SwingUp",
-    "cartpole_episodes",
-    "excited_runs",
-    "make_plant",
-    "manual_flights",
-    "record",
-    "simulate",
-    "simulated",
-    "spring_runs",
-    "write",
-]
+__all__ = names(__name__)
 
 __getattr__ = resolver(__name__)

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from nsde_torch.lazy import resolver
+from nsde_torch.lazy import names, resolver
 
 if TYPE_CHECKING:
     from nsde_torch.systems.base import System
@@ -14,26 +14,6 @@ if TYPE_CHECKING:
     from nsde_torch.systems.registry import SYSTEMS, make_system, system_class
     from nsde_torch.systems.values import Defaults, ErrorGroup, ResidualPort
 
-__all__ = [
-    "MACHINES",
-    "SYSTEMS",
-    "Cartpole",
-    "Defaults",
-    "ErrorGroup",
-    "Excitation",
-    "Gust",
-    "Hexacopter",
-    "Machine",
-    "MassSpringDamper",
-    "Multirotor",
-    "OneDegreeOfFreedom",
-    "Quadrotor",
-    "ResidualPort",
-    "System",
-    "SystemOptions",
-    "make_plant_system",
-    "make_system",
-    "system_class",
-]
+__all__ = names(__name__)
 
 __getattr__ = resolver(__name__)

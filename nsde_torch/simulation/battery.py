@@ -57,8 +57,7 @@ class Battery:
 def battery_of(plant: Plant, making: Making, durations: Sequence[float], *, rows: int) -> Battery:
     """The batteries of a recording; row i is run i modulo the number of runs.
 
-    Raises:
-        ConfigError: an effect reads another logged channel.
+    A ConfigError where an effect reads another logged channel.
     """
     asked = plant.system.exogenous
     if set(asked) - {COLUMN}:

@@ -37,12 +37,7 @@ NEAR = (0.45, 2.5)
 
 
 class SwingUp:
-    """Swings the pole up and balances it; batched, knows the declared physics.
-
-    Args:
-        system: Cart and pole whose parameters it knows.
-        dt: Sample [s].
-    """
+    """Swings the pole of a cart up and balances it at a sample [s]; batched, knows the declared physics."""
 
     def __init__(self, system: Cartpole, *, dt: float) -> None:
         values = {k: float(v) for k, (v, _) in system.declared_parameters().items()}
@@ -91,23 +86,13 @@ def cartpole_episodes(
     exploration: float = 0.1,
     making: Making = Making(),
 ) -> list[RawRun]:
-    """Episodes of the cart and pole.
+    """Episodes of the cart and pole, at 50 Hz (or on the step of `making`): measured states and the force [N].
 
-    Args:
-        name, seed: See `excited_runs`.
-        durations: Length of each episode [s]; default: twenty of 4 s.
-        policy: `random` (a new action, uniform in [-1, 1], at every sample), `on_policy` (swing up and
-            balance), or `mixed` (the episodes in turn).
-        exploration: Standard deviation of the noise added to the actions of the controller.
-        making: Effects and noise of the plant, and how it is made. The standard deviations of the sensor noise
-            [0.0071 m, 0.01 m/s, 0.03 rad, 0.0412 rad/s] are a tenth of those of the published data:
-            `sensor_noise=10` gives data as noisy as the authors'.
-
-    Returns:
-        Runs at 50 Hz (or on the step of `making`): measured states and the force [N].
-
-    Raises:
-        ConfigError: an unknown policy or effect, or a number out of range.
+    By default they are twenty of 4 s. The `policy` is `random` (a new action, uniform in [-1, 1], at every sample),
+    `on_policy` (swing up and balance), or `mixed` (the episodes in turn); `exploration` is the standard deviation of
+    the noise added to the actions of the controller. The sensor noise [0.0071 m, 0.01 m/s, 0.03 rad, 0.0412 rad/s] is a
+    tenth of that of the published data: `sensor_noise=10` gives data as noisy as the authors'. A ConfigError where a
+    policy or effect is unknown, or a number out of range.
     """
     if policy not in POLICIES:
         raise ConfigError(f"`policy` must be one of {', '.join(POLICIES)}; got {policy!r}.")

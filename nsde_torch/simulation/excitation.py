@@ -43,11 +43,12 @@ def excited_runs(
 ) -> list[RawRun]:
     """Runs of a machine as its `excitation` says, or as is said here.
 
+    They are on the machine's sample (or that of `making`): measured states and the inputs. A ConfigError where nothing
+    says how the machine is excited, an effect is unknown, or a number out of range.
+
     Args:
-        name: System.
         durations: Length of each run [s]; default: those of the excitation.
         seed: Seed of first states, inputs and noise.
-        making: Effects and noise of the plant, and how it is made.
         size: Factor on the amplitude of the inputs.
         inputs: Standard deviation of each input [its unit].
         noise: Standard deviation of the sensor noise of each error channel [its unit].
@@ -55,12 +56,6 @@ def excited_runs(
         start: Lowest and highest first value of each state [its unit].
         controller: `module:function` of the user's own: inputs (B, nu) from the time [s] and the measured states
             (B, nx), to which the sums of sines are added.
-
-    Returns:
-        Runs on the machine's sample (or that of `making`): measured states and the inputs.
-
-    Raises:
-        ConfigError: nothing says how the machine is excited, an unknown effect, or a number out of range.
     """
     plant_of, cls = machine(name), system_class(name)
     how = _excitation(name, plant_of, inputs, noise, hertz, start)
@@ -149,20 +144,8 @@ def spring_runs(
     """Runs of the mass-spring-damper of the supplement: m = 1, b = 0.5, k = 1, five runs of 5 s at 100 Hz.
 
     First states are uniform in [-0.1, 0.1] x [-0.1, 0.1] (the set D2); the force is zero, as there, or a random
-    multisine of 0.05 to 1.5 Hz (`Excitation`), which, unlike free decay, also shows the mass.
-
-    Args:
-        name, seed, making: See `excited_runs`.
-        durations: Length of each run [s]; default: five of 5 s.
-        force: `zero` or `multisine`.
-        force_size: Standard deviation of the multisine [N].
-        region: Where runs start, ((lowest q, highest q), (lowest q_dot, highest q_dot)).
-
-    Returns:
-        Runs at 100 Hz (or on the step of `making`): measured q, q_dot and the force.
-
-    Raises:
-        ConfigError: an unknown choice or effect, or a number out of range.
+    multisine of 0.05 to 1.5 Hz (`Excitation`), which, unlike free decay, also shows the mass. `region` is where runs
+    start, ((lowest q, highest q), (lowest q_dot, highest q_dot)). For the rest see `excited_runs`.
     """
     if force not in FORCES:
         raise ConfigError(f"`force` must be one of {', '.join(FORCES)}; got {force!r}.")

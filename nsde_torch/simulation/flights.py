@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -65,12 +66,8 @@ def fly(
 ) -> Flown:
     """Fly wanted paths of a multirotor at once (n, B, ...), with its battery's voltage; shorter ones hold their end.
 
-    Args:
-        durations: Lengths of the runs that take turns on one battery [s]; row i is run i modulo their number.
-        keep_truth: Keep the true states too.
-
-    Raises:
-        NonFiniteError: the flight left the finite numbers.
+    `durations` are lengths of the runs that take turns on one battery [s]; row i is run i modulo their number. With
+    `keep_truth`, true states are kept too. A NonFiniteError where the flight left the finite numbers.
     """
     plant = making.plant(name, generator=generator)
     logged = battery_of(plant, making, durations or [len(paths[0].p) * plant.dt], rows=len(paths))
@@ -151,7 +148,13 @@ def chosen_flights(
     rounds: int = ROUNDS,
     keep_truth: bool = False,
 ) -> list[Flown]:
-    """The flights of `manual_flights`, before they are runs; with `keep_truth`, their true states too."""
+    """Flights by hand whose envelope, over all of them, is that of the supplement's Figure 15.
+
+    Of a `hexacopter` or `quadrotor`, with lengths [s] (default: the supplement's three). Of fewer `variants` to choose
+    from, and of much shorter flights, they meet the figures less well; `rounds` is how often the aim may be moved at
+    most. With `keep_truth`, true states are kept too. A ConfigError where a system or effect is unknown, a number out
+    of range, or the cascade cannot fly with these effects.
+    """
     if min(variants, rounds) < 1:
         raise ConfigError(f"`variants` and `rounds` must be 1 or more; got {variants!r} and {rounds!r}.")
     dt = making.sample(name)
@@ -183,34 +186,12 @@ def chosen_flights(
     return best[1]
 
 
-def manual_flights(
-    name: str,
-    *,
-    durations: Sequence[float] | None = None,
-    seed: int,
-    making: Making = Making(),
-    variants: int = VARIANTS,
-    rounds: int = ROUNDS,
-) -> list[RawRun]:
-    """Flights by hand whose envelope, over all runs, is that of the supplement's Figure 15.
+def manual_flights(name: str, *, making: Making = Making(), **options: Any) -> list[RawRun]:
+    """Flights by hand, at 100 Hz (or on the step of `making`): measured states, commands in [0, 1].
 
-    Args:
-        name, seed, making: See `excited_runs`; a `hexacopter` or `quadrotor`.
-        durations: Length of each flight [s]; default: the supplement's three.
-        variants: Flights to choose from; fewer are quicker and meet the figures less well.
-        rounds: How often the aim may be moved at most.
-
-    Returns:
-        Runs at 100 Hz (or on the step of `making`): measured states, commands in [0, 1]. Much
-        shorter flights than the default have a narrower choice and meet the figures less well.
-
-    Raises:
-        ConfigError: an unknown system or effect, a number out of range, or effects that the cascade cannot
-            fly.
+    Arguments and errors are those of `chosen_flights`.
     """
-    flights = chosen_flights(
-        name, durations=durations, seed=seed, making=making, variants=variants, rounds=rounds
-    )
+    flights = chosen_flights(name, making=making, **options)
     dt, digits = making.sample(name), len(str(len(flights) - 1))
     return [
         simulated_run(f"flight_{i:0{digits}d}", dt, flight.x, flight.u, battery_column(flight.voltage))

@@ -33,21 +33,15 @@ _SUBSTEPS = 8
 
 @dataclass(frozen=True)
 class Simulation:
-    """What `simulate` made.
+    """What `simulate` made."""
 
-    Args:
-        system_name: Name of the system.
-        state_names, input_names: Columns of the runs.
-        runs: Runs as the recording chain logs them.
-        truth: What made them (`truth.json`): undeclared effects with parameters and units, whether each is a standing
-            one of the machine, declared parameters, faults of the recording, noise, seed.
-    """
-
-    system_name: str
-    state_names: tuple[str, ...]
+    system_name: str  # name of the system
+    state_names: tuple[str, ...]  # columns of the runs
     input_names: tuple[str, ...]
-    runs: tuple[RawRun, ...]
+    runs: tuple[RawRun, ...]  # as the recording chain logs them
     truth: Mapping[str, Any] = field(repr=False)
+    """What made them (`truth.json`): undeclared effects with parameters and units, whether each is a standing one of
+    the machine, declared parameters, faults of the recording, noise, seed."""
 
     def save(
         self, folder: str | Path, *, truth: str | Path | None = None, overwrite: bool = False
@@ -75,6 +69,9 @@ def simulate(
 ) -> Simulation:
     """Runs of a plant, as its recording chain logs them.
 
+    A ConfigError where a system, effect, parameter or option is unknown, a number out of range, or effects so strong
+    that the machine cannot be flown.
+
     Args:
         system: A system that has a plant: key of `nsde_torch.systems.SYSTEMS`, `module:Class` or the class of your own
             (`System.machine`).
@@ -94,10 +91,6 @@ def simulate(
         plan: Inputs to give in place of the system's own recording: a CSV file, or the folder of `nsde design` (see
             `nsde_torch.simulation.planned`).
         options: Further options of the system's recording (`force`, `policy`, `variants`, ...).
-
-    Raises:
-        ConfigError: an unknown system, effect, parameter or option, a number out of range, or effects so strong that
-            the machine cannot be flown.
 
     Example:
         >>> made = simulate("mass_spring_damper", effects=[{"coulomb_friction": {"size": 0.2}}], seed=1)
@@ -327,19 +320,10 @@ def _plain(values: list[float]) -> float | list[float]:
 def write(
     made: Simulation, folder: str | Path, *, truth: str | Path | None = None, overwrite: bool = False
 ) -> list[Path]:
-    """Write a data set, and its truth beside it.
+    """Write a data set into a folder, made where it is missing, and its truth beside it; the CSV files and the truth.
 
-    Args:
-        made: What `simulate` made.
-        folder: Folder of the CSV files; made where it is missing.
-        truth: File of the truth, outside the folder; None: the folder's name with `.truth.json`.
-        overwrite: Replace the CSV files of a folder that holds something, and the truth.
-
-    Returns:
-        The CSV files and the truth.
-
-    Raises:
-        ConfigError: the folder holds something, the truth exists or would lie in the folder.
+    The truth lies outside the folder; None: in its name with `.truth.json`. With `overwrite`, the CSV files of a folder
+    that holds something are replaced, and the truth; else a ConfigError refuses that.
     """
     folder, beside = Path(folder), truth_path(folder, truth)
     check_free(folder, beside, overwrite=overwrite)
@@ -360,11 +344,7 @@ def truth_path(folder: str | Path, truth: str | Path | None = None) -> Path:
 
 
 def check_free(folder: Path, truth: Path, *, overwrite: bool) -> None:
-    """Refuse to write over what is there, or a truth into the folder of the data.
-
-    Raises:
-        ConfigError: says what is there and the remedy.
-    """
+    """Refuse to write over what is there, or a truth into the folder of the data."""
     if truth.resolve().is_relative_to(folder.resolve()):
         raise ConfigError(f"`truth`: {truth} lies in the folder of the data; name a file outside {folder}.")
     if folder.is_file():

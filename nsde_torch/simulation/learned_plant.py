@@ -19,11 +19,7 @@ from nsde_torch.systems.machine import Limits, ends_of
 @final
 @dataclass(eq=False)
 class LearnedPlant:
-    """Machines that move as a neural SDE says.
-
-    Raises:
-        ConfigError: the model is no neural SDE, or limits of another number of inputs.
-    """
+    """Machines that move as a neural SDE says; a ConfigError for another model, or limits of other inputs."""
 
     model: Model
     _: KW_ONLY

@@ -22,40 +22,74 @@ from nsde_torch.systems.machines import Effects, machine, make_plant_system
 
 @dataclass(frozen=True)
 class Making:
-    """The plant of a recording; None takes the machine's own.
+    """The plant of a recording; None takes the machine's own."""
 
-    Args:
-        effects: Effects beyond those that the plant has: `name` or `{name: {parameter: value}}`.
-        process_noise: Factor on the machine's gusts.
-        sensor_noise: Factor on the machine's sensor noise.
-        declared_only: Leave out the effects that the declared physics does not have.
-        latency: Time from a command to its effect [s].
-        dt: Sample [s].
-        step: Fine step of the integration [s].
-        battery: Log the voltage of a battery though no effect reads it (multirotors).
-        values: Parameters of the declared physics in place of the machine's.
-    """
-
-    effects: Effects = ()
-    process_noise: float = 1.0
-    sensor_noise: float = 1.0
-    declared_only: bool = False
-    latency: float | None = None
-    dt: float | None = None
+    effects: Effects = ()  # effects beyond those that the plant has: `name` or `{name: {parameter: value}}`
+    process_noise: float = 1.0  # factor on the machine's gusts
+    sensor_noise: float = 1.0  # factor on the machine's sensor noise
+    declared_only: bool = False  # leave out the effects that the declared physics does not have
+    latency: float | None = None  # time from a command to its effect [s]
+    dt: float | None = None  # sample [s]
     step: float | None = None
-    battery: bool = False
-    values: Mapping[str, Any] | None = None
+    """Fine step of the integration [s]; None: the machine's, or less to fit into `dt` and follow the fastest effect."""
+    battery: bool = False  # log the voltage of a battery though no effect reads it (multirotors)
+    values: Mapping[str, Any] | None = None  # parameters of the declared physics in place of the machine's
 
     def sample(self, name: str) -> float:
         """Sample of the plant of a system [s]."""
         return self.dt or machine(name).dt
 
     def plant(
-        self, name: str, *, generator: torch.Generator, sensor_std: Sequence[float] | None = None
+        self,
+        name: str,
+        *,
+        generator: torch.Generator,
+        sensor_std: Sequence[float] | None = None,
+        check: bool = True,
+        dtype: torch.dtype = torch.float64,
     ) -> Plant:
-        """The plant of a system; arguments and errors are those of `make_plant`."""
-        settings = {k: v for k, v in vars(self).items() if k != "battery"}
-        return make_plant(name, generator=generator, sensor_std=sensor_std, **settings)
+        """The plant of a system; `generator`, `check` and `dtype` are those of `Plant`.
+
+        `sensor_std` is the noise of each error channel in place of the machine's. A ConfigError where there is no plant
+        of that name, an effect or parameter is unknown, or a number out of range.
+        """
+        spec = machine(name)
+        if not spec.gusts and self.process_noise not in (0.0, 1.0):
+            raise ConfigError(
+                f"the plant of {name!r} has no process noise that `process_noise` could scale; got "
+                f"{self.process_noise!r}. Leave it at 1."
+            )
+        sample, step = self.sample(name), self.step
+        system = make_plant_system(
+            name, effects=self.effects, declared_only=self.declared_only, values=self.values
+        )
+        if step is None:
+            step = sample / max(1, ceil(sample / min(spec.step, _longest_step(system)) - 1e-6))
+        return Plant(
+            system,
+            dt=sample,
+            generator=generator,
+            step=step,
+            gusts=spec.gusts,
+            sensor_std=spec.sensor_std if sensor_std is None else tuple(sensor_std),
+            process_noise=self.process_noise,
+            sensor_noise=self.sensor_noise,
+            latency=spec.latency if self.latency is None else self.latency,
+            limits=spec.limits,
+            check=check,
+            dtype=dtype,
+        )
+
+
+def make_plant(name: str, *, generator: torch.Generator, check: bool = True, **settings: Any) -> Plant:
+    """The plant of a system: settings are those of `Making`, and `sensor_std` and `dtype` of `Making.plant`.
+
+    Example:
+        >>> g = torch.Generator().manual_seed(0)
+        >>> plant = make_plant("hexacopter", generator=g, effects=["quadratic_drag"])
+    """
+    own = {k: settings.pop(k) for k in ("sensor_std", "dtype") if k in settings}
+    return Making(**settings).plant(name, generator=generator, check=check, **own)
 
 
 def noise_generator(seed: int, stream: int) -> torch.Generator:
@@ -86,86 +120,16 @@ def _longest_step(system: System) -> float:
     return 0.5 / fastest if fastest > 0 else inf
 
 
-def make_plant(
-    name: str,
-    *,
-    generator: torch.Generator,
-    effects: Effects = (),
-    declared_only: bool = False,
-    process_noise: float = 1.0,
-    sensor_noise: float = 1.0,
-    latency: float | None = None,
-    dt: float | None = None,
-    step: float | None = None,
-    check: bool = True,
-    dtype: torch.dtype = torch.float64,
-    values: Mapping[str, Any] | None = None,
-    sensor_std: Sequence[float] | None = None,
-) -> Plant:
-    """The plant of a system.
-
-    Args:
-        name: Name of the system.
-        generator: Source of all randomness; it also sets the device.
-        step: Fine step [s]; None: the machine's, or less to fit into `dt` and to follow the fastest effect.
-        check: Raise when a state is not finite.
-        dtype: Precision.
-        sensor_std: Noise of each error channel in place of the machine's.
-        effects, declared_only, process_noise, sensor_noise, latency, dt, values: See `Making`.
-
-    Raises:
-        ConfigError: no plant of that name, an unknown effect or parameter, or a number out of range.
-
-    Example:
-        >>> plant = make_plant("hexacopter", generator=torch.Generator().manual_seed(0),
-        effects=["quadratic_drag"])
-    """
-    spec = machine(name)
-    if not spec.gusts and process_noise not in (0.0, 1.0):
-        raise ConfigError(
-            f"the plant of {name!r} has no process noise that `process_noise` could scale; got "
-            f"{process_noise!r}. Leave it at 1."
-        )
-    sample = spec.dt if dt is None else dt
-    system = make_plant_system(name, effects=effects, declared_only=declared_only, values=values)
-    if step is None:
-        step = sample / max(1, ceil(sample / min(spec.step, _longest_step(system)) - 1e-6))
-    return Plant(
-        system,
-        dt=sample,
-        generator=generator,
-        step=step,
-        gusts=spec.gusts,
-        sensor_std=spec.sensor_std if sensor_std is None else tuple(sensor_std),
-        process_noise=process_noise,
-        sensor_noise=sensor_noise,
-        latency=spec.latency if latency is None else latency,
-        limits=spec.limits,
-        check=check,
-        dtype=dtype,
-    )
-
-
 Control = Callable[[float, torch.Tensor], torch.Tensor]
 
 
 def record(
     plant: Plant, start: Array, control: Control, *, durations: Sequence[float], prefix: str
 ) -> list[RawRun]:
-    """Runs of a plant under a controller.
+    """Runs of a plant under a controller, `prefix_0` and so on: measured states, and the command given at each.
 
-    Args:
-        plant: The machines.
-        start: First true states (B, nx).
-        control: Commands (B, nu) from the time [s] and the measured states (B, nx).
-        durations: Length of each run [s], at least one sample.
-        prefix: Runs are named `prefix_0`, `prefix_1`, ...
-
-    Returns:
-        One run for each row: measured states, and the command given at each, which holds to the next.
-
-    Raises:
-        ConfigError: no duration, or one shorter than a sample.
+    From true states (B, nx), with commands (B, nu) of the time [s] and the measured states (B, nx). A ConfigError where
+    there is no duration [s], or one shorter than a sample.
     """
     if not len(durations) or min(durations) < plant.dt:
         raise ConfigError(
@@ -197,11 +161,7 @@ def simulated_run(
 
 
 def check_numbers(durations: Sequence[float] | None, seed: int, **factors: float) -> None:
-    """Refuse durations that are no times, a seed that is none, and factors below 0.
-
-    Raises:
-        ConfigError: names the number.
-    """
+    """Refuse durations that are no times, a seed that is none, and factors below 0."""
     if durations is not None and not (len(durations) and all(isfinite(d) and d > 0 for d in durations)):
         raise ConfigError(f"`durations` must be one or more times above 0 s; got {list(durations)}.")
     if isinstance(seed, bool) or int(seed) != seed or seed < 0:

@@ -31,8 +31,7 @@ from nsde_torch.systems.machine import Gust
 class Gusts:
     """The gusts of one plant, advanced a sample at a time.
 
-    Raises:
-        ConfigError: a port that the system lacks, or a time constant or scale out of range.
+    A ConfigError refuses a port that the system lacks, or a time constant or scale out of range.
     """
 
     spec: Mapping[Port, Gust]  # gust of each port that has one
@@ -106,8 +105,7 @@ class Gusts:
 class Sensor:
     """Measurement: state plus white noise, a quaternion turned by a small random rotation.
 
-    Raises:
-        ConfigError: wrong number of channels, or a negative value.
+    A ConfigError refuses a wrong number of channels, or a negative value.
     """
 
     system: System

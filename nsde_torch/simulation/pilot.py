@@ -46,23 +46,14 @@ DRAG = 0.15
 
 @dataclass(frozen=True)
 class Sticks:
-    """Sizes of the pilot's inputs.
+    """Sizes of the pilot's inputs."""
 
-    Args:
-        slow: Acceleration of the slow wander [m/s2].
-        slow_spread: How uneven it is.
-        quick: Acceleration of the quick corrections along x and y [m/s2].
-        quick_spread: How uneven they are, x and y; negative: how tightly they are bounded.
-        yaw: Wander of the heading [rad].
-        turn: The one far turn [rad].
-    """
-
-    slow: float = 0.8
-    slow_spread: float = 0.4
-    quick: tuple[float, float] = (1.2, 1.8)
-    quick_spread: tuple[float, float] = (0.3, 0.1)
-    yaw: float = 0.15
-    turn: float = 1.2
+    slow: float = 0.8  # acceleration of the slow wander [m/s2]
+    slow_spread: float = 0.4  # how uneven it is
+    quick: tuple[float, float] = (1.2, 1.8)  # acceleration of the quick corrections along x and y [m/s2]
+    quick_spread: tuple[float, float] = (0.3, 0.1)  # how uneven they are; negative: how tightly bounded
+    yaw: float = 0.15  # wander of the heading [rad]
+    turn: float = 1.2  # the one far turn [rad]
 
     def as_row(self) -> Array:
         """The sizes as one row of 8."""

@@ -32,17 +32,11 @@ def planned_runs(
     plan: str,
     start: Mapping[str, float] | None = None,
 ) -> list[RawRun]:
-    """One run of a plan for each duration, which the plan is held to the end of.
+    """One run of a plan for each duration [s] (default: one of the plan's), which the plan is held to the end of.
 
-    Args:
-        name, seed, making: See `excited_runs`.
-        durations: Length of each run [s]; default: one of the plan's.
-        plan: CSV file of `t` and the inputs, or the folder that `nsde design` wrote.
-        start: First values of states; default: those of `design.json` beside the plan, else 0.
-
-    Raises:
-        ConfigError: a name that is no state, or an unknown effect.
-        DataError: no plan, or one that does not fit the system.
+    The plan is a CSV file of `t` and the inputs, or the folder that `nsde design` wrote. `start` are first values of
+    states; default: those of `design.json` beside the plan, else 0. For the rest see `excited_runs`. A ConfigError
+    where a name is no state, or an effect unknown; a DataError where there is no plan, or it does not fit the system.
     """
     plant = making.plant(name, generator=noise_generator(seed, 1))
     names = plant.system.state_names
@@ -92,8 +86,7 @@ def plan_file(plan: str | Path) -> Path:
 def read_plan(plan: str | Path, names: Sequence[str]) -> tuple[Array, Array]:
     """Times (N,) [s] and inputs (N, nu) of a plan, a file or the folder that holds it, each held to the next.
 
-    Raises:
-        DataError: the file or a column is missing, something is no number, or times do not increase.
+    A DataError where the file or a column is missing, something is no number, or times do not increase.
     """
     path = plan_file(plan)
     rows = csv_rows(path, ("t", *names), what="plan", remedy=f"`nsde design` writes {PLAN}.")

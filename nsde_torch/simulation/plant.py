@@ -69,8 +69,7 @@ class Plant:
         check: Raise when a state is not finite; otherwise the caller looks after it.
         dtype: Precision.
 
-    Raises:
-        ConfigError: a time or factor out of range, or limits of another number of inputs.
+    A ConfigError refuses a time or factor out of range, or limits of another number of inputs.
 
     Example:
         >>> plant = make_plant("hexacopter", generator=torch.Generator().manual_seed(0))
@@ -146,17 +145,10 @@ class Plant:
 
     @torch.no_grad()
     def reset(self, x0: Tensor, u0: Tensor) -> Tensor:
-        """Put the machines into a state, at rest under a command.
+        """Put the machines into true states (B, nx), at rest under commands (B, nu); the measured states (B, nx).
 
-        Args:
-            x0: True states (B, nx).
-            u0: Commands (B, nu) given until now: they fill the latency and the memory of the effects.
-
-        Returns:
-            Measured states (B, nx).
-
-        Raises:
-            ShapeError: wrong columns, or unequal numbers of rows.
+        Commands were given until now: they fill the latency and the memory of the effects. A ShapeError refuses wrong
+        columns, or unequal numbers of rows.
         """
         x, u = self._rows("x0", x0, self.system.nx), self._rows("u0", u0, self._width)
         if len(x) != len(u):
@@ -170,19 +162,11 @@ class Plant:
 
     @torch.no_grad()
     def resume(self, z: Tensor, before: Tensor, *, t0: float | Tensor = 0.0) -> Tensor:
-        """Put the machines into a state with its memory, as in the middle of a run; gusts are drawn anew.
+        """As `reset`, in the middle of a run: true states with the memory of the effects (B, nz); gusts are drawn anew.
 
-        Args:
-            z: True states with the memory of the effects (B, nz), as `whole_state` has them.
-            before: Commands given until now, the newest last, (B, K, nu); they fill the latency, and where they are
-                fewer, the first of them is used for those before it. K >= 1.
-            t0: Time of the machines' clock now, which effects that drift in time read [s], one number or (B,).
-
-        Returns:
-            Measured states (B, nx).
-
-        Raises:
-            ShapeError: wrong columns, or unequal numbers of rows.
+        Commands given `before`, the newest last, (B, K, nu), K >= 1, fill the latency; where they are fewer, the first
+        of them is used for those before it. `t0` is the time of the machines' clock now, which effects that drift in
+        time read [s], one number or (B,).
         """
         z = self._rows("z", z, self.system.nz)
         if before.ndim != 3 or before.shape[1] < 1 or len(before) != len(z):
@@ -199,14 +183,7 @@ class Plant:
 
     @torch.no_grad()
     def restart(self, rows: Tensor, x0: Tensor, u0: Tensor) -> Tensor:
-        """Put some machines (K,) into states (K, nx), as `reset` does with all; the time runs on.
-
-        Returns:
-            Measured states (K, nx).
-
-        Raises:
-            ShapeError: wrong columns, or unequal numbers of rows.
-        """
+        """Put some machines (K,) into states (K, nx), as `reset` does with all; the time runs on."""
         x, u = self._rows("x0", x0, self.system.nx), self._rows("u0", u0, self._width)
         if not len(x) == len(u) == len(rows):
             raise ShapeError(
@@ -220,18 +197,10 @@ class Plant:
 
     @torch.no_grad()
     def step(self, u: Tensor) -> Tensor:
-        """Advance all machines by one sample.
+        """Advance all machines by one sample; the measured states at its end (B, nx).
 
-        Args:
-            u: Commands, and exogenous channels where effects read any, (B, nu + n_exogenous); held over the
-                sample.
-
-        Returns:
-            Measured states at the end of the sample (B, nx).
-
-        Raises:
-            ShapeError: wrong columns or rows, or no reset before.
-            NonFiniteError: a state is not finite, and `check`.
+        Commands, and exogenous channels where effects read any, (B, nu + n_exogenous), are held. A ShapeError refuses
+        wrong columns or rows, or no reset before; a NonFiniteError, with `check`, a state that is not finite.
         """
         u = self._rows("u", u, self._width)
         if len(u) != len(self._z):

@@ -31,19 +31,14 @@ from nsde_torch.systems.options import key_of_class
 
 @dataclass(frozen=True)
 class RunRecorder:
-    """How runs of a machine are made.
+    """How runs of a machine are made."""
 
-    Args:
-        make: Function (name, *, durations, seed, making, ...) -> runs.
-        durations: Lengths of the runs that `simulate` makes by default [s].
-        options: Options of `make` that `simulate` has by default, so that the runs show something.
-        replay: Function that makes interventions of the runs (see `nsde_torch.simulation.replay`); None: none.
-    """
-
-    make: Callable[..., list[RawRun]]
-    durations: tuple[float, ...]
+    make: Callable[..., list[RawRun]]  # function (name, *, durations, seed, making, ...) -> runs
+    durations: tuple[float, ...]  # lengths of the runs that `simulate` makes by default [s]
     options: Mapping[str, Any] = field(default_factory=dict)
+    """Options of `make` that `simulate` has by default, so that the runs show something."""
     replay: Callable[..., list[list[RawRun]]] | None = None
+    """Function that makes interventions of the runs (see `nsde_torch.simulation.replay`); None: none."""
 
 
 _FLIGHTS = RunRecorder(manual_flights, flights.DURATIONS, replay=replayed_flights)
@@ -57,11 +52,7 @@ RECORDINGS: dict[str, RunRecorder] = {
 
 
 def recorder(name: str) -> RunRecorder:
-    """How runs of a system's machine are made: its own way, or as its `excitation` says.
-
-    Raises:
-        ConfigError: the system has no plant.
-    """
+    """How runs of a system's machine are made: its own way, or as its `excitation` says; ConfigError for no plant."""
     own = machine(name)
     if name in RECORDINGS:
         return RECORDINGS[name]
@@ -70,12 +61,7 @@ def recorder(name: str) -> RunRecorder:
 
 
 def planned(name: str, plan: str | Path) -> RunRecorder:
-    """How runs of a plan are made (`nsde_torch.simulation.planned`).
-
-    Raises:
-        ConfigError: the system has no plant.
-        DataError: the plan does not fit the system.
-    """
+    """How runs of a plan are made (`nsde_torch.simulation.planned`); a DataError where it does not fit the system."""
     machine(name)
     own = make_system(name)
     if isinstance(own, Multirotor):
@@ -98,7 +84,10 @@ def simulated(
     clock: str = "rescale",
     **options: Any,
 ) -> DataSet:
-    """Runs of a plant, as a checked data set.
+    """Runs of a plant, as a checked data set of kind `simulated`.
+
+    A ConfigError where the system has no plant (the message names the remedy), an effect, parameter or option is
+    unknown, or a number out of range.
 
     Args:
         system: The system, or its name.
@@ -113,13 +102,6 @@ def simulated(
         clock: What to do about a clock that disagrees with the kinematics.
         options: Further options of the system's recording: `force`, `region` (mass_spring_damper), `policy`,
             `exploration` (cartpole).
-
-    Returns:
-        The data set, of kind `simulated`.
-
-    Raises:
-        ConfigError: the system has no plant (the message names the remedy), an unknown effect, parameter or
-            option, or a number out of range.
 
     Example:
         >>> data = simulated("hexacopter", seed=1, effects=["quadratic_drag"])

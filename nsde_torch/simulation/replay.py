@@ -41,11 +41,7 @@ class Replay(ReplayOptions):
     """Interventions that are made of flights."""
 
     def rows(self, dt: float) -> tuple[int, int]:
-        """Samples before the start, and of the replay.
-
-        Raises:
-            ConfigError: a number out of range.
-        """
+        """Samples before the start, and of the replay; a ConfigError where a number is out of range."""
         if isinstance(self.starts, bool) or self.starts < 1:
             raise ConfigError(f"`replay.starts` must be a whole number of 1 or more; got {self.starts!r}.")
         for name, value in (("duration", self.duration), ("before", self.before)):
@@ -63,18 +59,10 @@ def replayed_flights(
     making: Making = Making(),
     **options: Any,
 ) -> list[list[RawRun]]:
-    """Interventions on the machine of `manual_flights`, from states of its flights.
+    """Interventions on the machine of `manual_flights`, from states of its flights, whose arguments these are.
 
-    Args:
-        replay: How many interventions, and how long.
-        seed: Seed of the flights, which are those of `manual_flights`, and of the draws from them.
-        name, durations, making, options: As for `manual_flights`.
-
-    Returns:
-        For each run its interventions in the order of time, each with the column `intervention`.
-
-    Raises:
-        ConfigError: see `manual_flights`; or flights that are too short.
+    Gives for each run its interventions in the order of time, each with the column `intervention`. A ConfigError is
+    that of `manual_flights`, or refuses flights that are too short.
     """
     flights = chosen_flights(name, durations=durations, seed=seed, making=making, keep_truth=True, **options)
     dt = making.sample(name)

@@ -30,18 +30,10 @@ class Split:
 def split(
     dataset: DataSet, test: Sequence[int | str] | None = None, *, train: Sequence[int | str] | None = None
 ) -> Split:
-    """Splits a data set by whole runs.
+    """Splits a data set by whole runs: the runs of both sides, in its order.
 
-    Args:
-        dataset: The data set.
-        test: Runs to hold out, by index or name; None holds out the last run.
-        train: Runs to train on; None takes all others.
-
-    Returns:
-        The runs of both sides, in the order of the data set.
-
-    Raises:
-        DataError: an unknown run, a run or an equal content on both sides, or an empty side.
+    Runs to hold out are named by index or name; None holds out the last run, and trains on all others. A DataError
+    refuses an unknown run, a run or an equal content on both sides, or an empty side.
 
     Example:
         >>> split(dataset, test=[1]).train  # doctest: +SKIP
@@ -104,9 +96,8 @@ def _frozen(name: str, value: object, ndim: int) -> Array:
 class Run:
     """One continuous recording; `u[k]` holds from `t[k]` to `t[k + 1]`.
 
-    Raises:
-        ShapeError: an array has the wrong number of axes or rows.
-        DataError: a value is not finite, the time does not increase, or the segments do not fit.
+    A ShapeError where an array has the wrong number of axes or rows; a DataError where a value is not finite, the time
+    does not increase, or the segments do not fit.
     """
 
     name: str  # name of the run, unique in its data set
@@ -233,8 +224,7 @@ def fingerprint(runs: Sequence[Run], *, system_name: str, dt: float, clock_scale
 class DataSet:
     """Runs of one system on one step, checked and summarised.
 
-    Raises:
-        DataError: no runs, runs of unequal width, or two runs of one name.
+    A DataError where there are no runs, runs of unequal width, or two runs of one name.
     """
 
     system_name: str  # name of the system that the columns belong to

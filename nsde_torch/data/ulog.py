@@ -384,18 +384,11 @@ def read_ulog(
 ) -> list[RawRun]:
     """Runs of one PX4 log, or of all `.ulg` files of a folder in the order of their names.
 
-    Args:
-        system: A multirotor; as many motors are read as it has inputs.
-        path: File or folder.
-        state: `odometry`, `attitude` (three topics), or `auto`: the odometry unless the others are much
-            faster.
-        in_air: Leave out the time on the ground, where the log has it (`vehicle_land_detected`).
-        motor_rate: Slowest rate of the motors' topic that is read [Hz].
-
-    Raises:
-        DataError: nothing to read, not a ULog file, a topic is missing or too slow (the message names it and the
-            remedy), or frames that cannot be converted.
-        ConfigError: an unknown `state`, or a system that is not a multirotor.
+    As many motors are read as the system, a multirotor, has inputs. The `state` is of `odometry`, `attitude` (three
+    topics), or `auto`: the odometry unless the others are much faster. `in_air` leaves out the time on the ground,
+    where the log has it (`vehicle_land_detected`); `motor_rate` is the slowest of the motors' topic that is read [Hz].
+    A DataError where there is nothing to read, a topic is missing or too slow (the message names it and the remedy), or
+    frames cannot be converted; a ConfigError where the `state` is unknown, or the system is no multirotor.
     """
     path = log_place(path, "a .ulg file or a folder of them")
     if path.is_dir():

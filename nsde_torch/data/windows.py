@@ -35,9 +35,8 @@ TOLERANCE = 0.01  # share by which a step may miss a whole multiple of the data'
 class Windows:
     """All windows of some runs; cut lazily.
 
-    Raises:
-        ConfigError: the steps do not divide, or the horizon is not positive.
-        DataError: no runs, or no segment is as long as a window.
+    A ConfigError where the steps do not divide, or the horizon is not positive; a DataError where there are no runs, or
+    no segment is as long as a window.
 
     Example:
         >>> windows = Windows(runs, dt_model=0.05, horizon=20)  # doctest: +SKIP
@@ -167,18 +166,10 @@ class Windows:
         return list(zip(runs.tolist(), (rows - self._first[runs]).tolist(), strict=True))
 
     def batch(self, indices: Indices) -> tuple[Tensor, Tensor, Tensor]:
-        """Cuts windows.
+        """Windows by their numbers (B,), each in 0..len - 1, else an IndexError.
 
-        Args:
-            indices: Window numbers, (B,), each in 0..len - 1.
-
-        Returns:
-            x: States at the model's steps, (B, horizon + 1, nx).
-            u: Inputs, averaged over each model step, (B, horizon, nu).
-            t0: Logged time of the first row [s], float64, (B,).
-
-        Raises:
-            IndexError: a number out of range.
+        States at the model's steps (B, horizon + 1, nx), inputs averaged over each (B, horizon, nu), and the logged
+        time of the first row [s], float64, (B,).
         """
         rows = self.rows(indices)
         device = self._x.device
@@ -275,9 +266,8 @@ class Windows:
         edges = [
             np.linspace(a, b, max(1, (b - a) // block) + 1).round().astype(int).tolist() for a, b in usable
         ]
-        if (
-            len(edges) == 1 and len(edges[0]) == 2
-        ):  # one block in all: its end, at least one window, is held out
+        if len(edges) == 1 and len(edges[0]) == 2:
+            # one block in all: its end, at least one window, is held out
             a, b = edges[0]
             cut = b - max(need, round(fraction * (b - a)))
             if cut - a < need:
@@ -286,7 +276,7 @@ class Windows:
                     "do not fit. Shorten `horizon`, or use no validation."
                 )
             edges = [[a, cut, b]]
-            held = {(edges[0][1], edges[0][2])}
+            held = {(cut, b)}
         else:
             held = _choose([pair for e in edges for pair in itertools.pairwise(e)], fraction, generator)
         train: list[tuple[int, int]] = []

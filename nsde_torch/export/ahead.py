@@ -64,8 +64,7 @@ def quick_indices() -> Iterator[None]:
 def compiled(step: ExportedStep, *, say: Callable[[str], None]) -> dict[str, bytes]:
     """Members of a package with all stages; `say` is called with a line when something takes long.
 
-    Raises:
-        ExportError: there is no compiler, or it refuses.
+    An ExportError where there is no compiler, or it refuses.
     """
     from torch._inductor.package import package_aoti
 
@@ -157,8 +156,7 @@ def loaded(
 ) -> tuple[Callable[..., Sequence[Tensor]], Callable[..., Sequence[Tensor]]]:
     """`step` and `predict` of a package, with the numbers of its `Loops`; it is machine code, and runs when called.
 
-    Raises:
-        ExportError: the package cannot be loaded here.
+    An ExportError where the package cannot be loaded here.
     """
     stages: dict[str, Stage] = {}
     try:

@@ -34,9 +34,8 @@ def sources(
 ) -> tuple[str, str]:
     """Source and header named so, whose last lines await the record `about` in the place of `@RECORD@`.
 
-    Raises:
-        ConfigError: a plan over several paths, or names and times that cannot be.
-        ExportError: the model holds an operation that is not known in C.
+    A ConfigError refuses a plan over several paths, or names and times that cannot be; an ExportError a model with an
+    operation that is not known in C.
     """
     if step.sizes.particles > 1:
         raise ConfigError(

@@ -61,10 +61,9 @@ def read(path: Path) -> dict[str, Any]:
 
 
 def library(path: Path) -> ctypes.CDLL:
-    """The controller, compiled for this computer and loaded; it is machine code, and runs when called.
+    """The controller, compiled for this computer and loaded; ExportError where there is no C compiler, or it refuses.
 
-    Raises:
-        ExportError: there is no C compiler, or it refuses.
+    It is machine code, and runs when called.
     """
     with tempfile.TemporaryDirectory() as folder:
         made = Path(folder) / "controller.so"

@@ -106,11 +106,7 @@ def write(path: Path, members: Mapping[str, bytes], record: Mapping[str, Any]) -
 
 
 def read(path: Path) -> tuple[bytes, dict[str, Any]]:
-    """The bytes of a file and its record, checked.
-
-    Raises:
-        ExportError: there is no such file, or it is damaged, changed, or of another format.
-    """
+    """The bytes of a file and its record; ExportError where there is none, or it is damaged, changed, or foreign."""
     if not path.is_file():
         raise ExportError(f"no file {path}; give what `nsde export` wrote.")
     archive = path.read_bytes()

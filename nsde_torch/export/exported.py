@@ -61,19 +61,15 @@ class _NotCompiled:
 
 @final
 class ExportedController:
-    """A controller out of a file; `plan` and the attributes are those of `Controller`, for one machine.
+    """A controller out of a file that `nsde export` wrote; `plan` and the attributes are those of `Controller`.
 
-    Args:
-        path: What `nsde export` wrote.
+    An ExportError refuses a file that is damaged, changed, of another version or for another processor, or in C where
+    there is no compiler.
 
     Attributes:
         record: What the file says of itself.
         known: Declared physics with the model's values.
         pilot: The file's own estimator and controller, which files in C have; else None.
-
-    Raises:
-        ExportError: the file is damaged, changed, of another version or for another processor, or it is in C and there
-            is no compiler here.
     """
 
     batch = 1

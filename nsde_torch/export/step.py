@@ -61,8 +61,7 @@ class Loops:
 class ExportedStep(nn.Module):
     """The step of a controller, with its numbers as they are now; `sample` predicts over a sample of the fine grid.
 
-    Raises:
-        ConfigError: a controller of several machines, or with a solver that cannot be exported.
+    A ConfigError refuses a controller of several machines, or with a solver that cannot be exported.
     """
 
     def __init__(self, controller: Controller, sample: Predictor) -> None:
@@ -100,11 +99,10 @@ class ExportedStep(nn.Module):
         memory: Tensor,
         before: Tensor,
     ) -> tuple[Tensor, ...]:
-        """From what the step is given to the problem; see `layout.step_inputs`.
+        """From what the step is given (`layout.step_inputs`) to the problem.
 
-        Returns:
-            z0 (1, nz), start u (1, K, nu), start z (1, P, K + 1, nz), reference (1, K, nx), last (1, nu), push (1, nd),
-            head (6,): see `layout.KNOWN` and the places after it; and the trouble, 0-d.
+        z0 (1, nz), start u (1, K, nu), start z (1, P, K + 1, nz), reference (1, K, nx), last (1, nu), push (1, nd),
+        head (6,): see `layout.KNOWN` and the places after it; and the trouble, 0-d.
         """
         s, safety, dtype, inf = self.sizes, self.safety, self.dtype, torch.inf
         head, old_u, old_z = self._unpacked(before)

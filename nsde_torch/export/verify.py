@@ -199,10 +199,8 @@ def logged(
 ) -> list[tuple[Tensor, Tensor]]:
     """States of a flight that `nsde track` logged, `count` at most, and the references ahead; see `along`.
 
-    The CSV file has the time `t` in the reference, and the states in columns of their names.
-
-    Raises:
-        DataError: no such file, or columns that are not there.
+    The CSV file has the time `t` in the reference, and the states in columns of their names; a DataError where it has
+    not, or there is none.
     """
     names, o = exported.record["state_names"], exported.options
     if not file.is_file():

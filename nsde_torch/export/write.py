@@ -60,6 +60,8 @@ def export(
 ) -> str:
     """Write a controller; returns the hash of its content (hex).
 
+    A ConfigError refuses what a file cannot hold; an ExportError where there is no compiler for format=aoti.
+
     Args:
         known: What it knows of the machine.
         path: The file.
@@ -73,10 +75,6 @@ def export(
             defaults, with the latency given here. Others leave it to their host.
         dtype: Precision of the arithmetic within.
         say: Called with a line when something takes long.
-
-    Raises:
-        ConfigError: something that a file cannot hold.
-        ExportError: there is no compiler for format=aoti.
     """
     if kind not in KINDS:
         raise ConfigError(f"`format` must be {', '.join(KINDS[:-1])} or {KINDS[-1]}; got {kind!r}.")

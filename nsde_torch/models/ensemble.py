@@ -215,17 +215,6 @@ class GaussianEnsemble(Model):
         scale = self.change_scale.scale
         return self.change_scale.mean + scale * mean, scale * torch.exp(0.5 * v)
 
-    def log_density(self, x: Tensor, u: Tensor, after: Tensor) -> Tensor:
-        """Logarithm of the predictive density of a change, the members weighted alike.
-
-        From states (N, nx), inputs over the step (N, nu) and states one step later (N, nx): (N,) in nats, per unit of
-        each channel of the change.
-        """
-        mean, std = self.change(x, u)
-        z = (self.chart.change(x, after) - mean) / std
-        each = (-0.5 * z.square() - std.log() - 0.5 * math.log(2 * math.pi)).sum(-1)
-        return torch.logsumexp(each, 0) - math.log(self.spec.members)
-
     # ---- paths ----------------------------------------------------------------------------------------
 
     def draw_members(self, rows: int, generator: torch.Generator) -> Tensor:
@@ -272,10 +261,8 @@ class GaussianEnsemble(Model):
 
         `measurement`, `applied` and `compile` change nothing: an ensemble predicts measurements from inputs as logged,
         and its time goes into matrix products that a compiler leaves as they are. `u_before` is checked and changes
-        nothing either: an ensemble has no memory.
-
-        Raises:
-            ConfigError: `dt` is not the step that the ensemble learned, or `measurement_std` is given.
+        nothing either: an ensemble has no memory. A ConfigError refuses a `dt` that is not the step that it learned,
+        and a `measurement_std`.
         """
         x0, u = self.checked(x0, u, particles, generator)
         self.checked_before(u_before, x0)

@@ -147,11 +147,8 @@ class Model(nn.Module, ABC):
                 is stationary under u[:, 0].
 
         Returns:
-            States (particles, B, T + 1, nx); the first is x0, projected (a quaternion is normalised).
-
-        Raises:
-            ShapeError: wrong axes or columns.
-            NonFiniteError: x0 or u is not finite, or a path leaves the finite numbers.
+            States (particles, B, T + 1, nx); the first is x0, projected (a quaternion is normalised). A ShapeError
+            refuses wrong axes or columns; a NonFiniteError x0 or u, or a path, that is not finite.
         """
 
     def predict(
@@ -178,11 +175,9 @@ class Model(nn.Module, ABC):
                 `intervention`.
 
         Returns:
-            Medians and intervals beside what was measured, with `coverage`, `plot()` and `to_frame()`.
-
-        Raises:
-            ConfigError, DataError, ShapeError: an argument out of range, a run that is too short or of another system.
-            NonFiniteError: a path leaves the finite numbers.
+            Medians and intervals beside what was measured, with `coverage`, `plot()` and `to_frame()`. A ConfigError,
+            DataError or ShapeError refuses an argument out of range, a run that is too short or of another system; a
+            NonFiniteError a path that leaves the finite numbers.
         """
         from nsde_torch.models.prediction import predict
 

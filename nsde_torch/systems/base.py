@@ -293,16 +293,10 @@ class System(Parametrised, ABC):
 
     @abstractmethod
     def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
-        """Rate of the state.
+        """Rate of the state dx/dt (N, nx), at a time [s] and states (N, nx).
 
-        Args:
-            t: Time [s].
-            x: State (N, nx).
-            u: Input after the effects on it (N, nu).
-            forces: Sum of effects and residuals on each port that has any (N, width of the port).
-
-        Returns:
-            dx/dt (N, nx).
+        `u` is the input after the effects on it (N, nu), `forces` the sum of effects and residuals on each port that
+        has any (N, width of the port).
         """
 
     def features(self, x: Tensor) -> Tensor:
@@ -414,16 +408,12 @@ class System(Parametrised, ABC):
     def remembered(self, x: Tensor, u: Tensor, u_before: Tensor | None, *, dt: float) -> Tensor:
         """State with the memory that the inputs until now have left (N, nz); differentiable.
 
-        Memory is stationary under the first of these inputs, and the state is held at `x` while it moves: assumed.
-        Memory of inputs (lags, delays) does not read it, and that of other effects is right only as far as the state
-        stays where it is. Effects of `whole_steps` are exact for inputs that are held over each step, however long it
-        is. Others are followed by Runge and Kutta's method in shorter steps.
-
-        Args:
-            x: States now (N, nx).
-            u: Inputs from now on (N, nu + n_exogenous), under which memory is stationary where nothing else is known.
-            u_before: Inputs held during the steps before now, oldest first (N, K, nu + n_exogenous), or None.
-            dt: Length of a step [s].
+        Of states now (N, nx), inputs from now on (N, nu + n_exogenous) and those held during the steps of `dt` [s]
+        before, oldest first (N, K, nu + n_exogenous), or None. Memory is stationary under the first of all these
+        inputs, and the state is held at `x` while it moves: assumed. Memory of inputs (lags, delays) does not read it,
+        and that of other effects is right only as far as the state stays where it is. Effects of `whole_steps` are
+        exact for inputs that are held over each step, however long it is. Others are followed by Runge and Kutta's
+        method in shorter steps.
         """
         if u_before is None or self.nz == self.nx:
             return self.augment(x, u)

@@ -153,12 +153,9 @@ def make_plant_system(
 ) -> System:
     """The machine of a plant as a system, with all its effects and the true parameters.
 
-    Args:
-        effects: Effects beyond those that the plant has; parameters given here also replace the plant's own.
-        declared_only: Leave out what the declared physics does not have (`effects` are still added).
-        values: Parameters of the declared physics in place of the plant's own.
-
-    A ConfigError where there is no plant of that name, or an effect or parameter is unknown.
+    `effects` are beyond those that the plant has; parameters given there also replace the plant's own, as `values` do
+    those of the declared physics. `declared_only` leaves out what that does not have (`effects` are still added). A
+    ConfigError where there is no plant of that name, or an effect or parameter is unknown.
     """
     spec = machine(name)
     present = plant_effects(name, effects=effects, declared_only=declared_only)

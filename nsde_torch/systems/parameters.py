@@ -49,10 +49,9 @@ class _Lookup:
 
 @final
 class ParameterVector:
-    """Declared parameters of a system as one vector.
+    """Declared parameters of a system as one vector; a ConfigError where there are none.
 
-    Args:
-        system: The machine; it is copied in double precision, and its values are the first theta.
+    The system is copied in double precision, and its values are the first theta.
 
     Attributes:
         system: The copy, without gradients, whose parameters are those of the last `use`.
@@ -66,9 +65,6 @@ class ParameterVector:
             effect follows: a dead band before a lag (k,).
         raised: Whether `limit` raised the lower bound of a shape that is measured by a size of the data (k,).
         per_input: Columns of sizes of which an effect has one per input, each 0 at least (losses of motors).
-
-    Raises:
-        ConfigError: the system declares no parameter.
     """
 
     def __init__(self, system: System) -> None:

@@ -32,17 +32,11 @@ def make_system(
     values: Values | None = None,
     **options: Any,
 ) -> System:
-    """Make a system by name.
+    """Make a system by name: a key of `SYSTEMS`, or `package.module:Class`.
 
-    Args:
-        name: Key of `SYSTEMS`, or `package.module:Class`.
-        effects: Effects to add to the declared physics.
-        declared: Effects that replace the declared ones; None keeps them.
-        values: Initial values of parameters, `name` or `effect.name`.
-        options: Further arguments of the class (`thrust_degree` of multirotors).
-
-    Raises:
-        ConfigError: unknown system, effect, parameter or option.
+    `effects` are added to the declared physics, or to those `declared` in its place; `values` are initial ones of
+    parameters, `name` or `effect.name`, and `options` further arguments of the class (`thrust_degree` of multirotors).
+    A ConfigError where a system, effect, parameter or option is unknown.
 
     Example:
         >>> make_system("hexacopter", effects=["linear_drag"]).effect_names

@@ -6,7 +6,6 @@ from typing import Any
 import pytest
 import torch
 from torch import Tensor
-from torch.distributions import Categorical, Independent, MixtureSameFamily, Normal
 
 from nsde_torch.errors import ConfigError, NonFiniteError
 from nsde_torch.models import EnsembleSpec, GaussianEnsemble
@@ -82,17 +81,6 @@ def test_every_row_is_moved_by_its_own_member(system: str) -> None:
     own = torch.arange(40)
     moved = mean[members, own] + std[members, own] * noise
     torch.testing.assert_close(after, model.project(model.chart.moved(x, moved)))
-
-
-@pytest.mark.parametrize("system", ["cartpole", "hexacopter"])
-def test_the_log_density_is_that_of_torchs_mixture_of_normals(system: str) -> None:
-    model = make(system)
-    x, u = rows(model)
-    after, _ = rows(model, seed=5)
-    mean, std = model.change(x, u)
-    parts = Independent(Normal(mean.transpose(0, 1), std.transpose(0, 1)), 1)
-    mixture = MixtureSameFamily(Categorical(torch.ones(len(x), 5)), parts)
-    torch.testing.assert_close(model.log_density(x, u, after), mixture.log_prob(model.chart.change(x, after)))
 
 
 @pytest.mark.parametrize("size", [0.0, 1.0, 1e3, 1e6])

@@ -1,7 +1,5 @@
 """CSV data sets: a folder, one file a run, header row, SI, `t` on one clock, empty or `nan` = missing."""
 
-from __future__ import annotations
-
 import csv
 import difflib
 import shlex

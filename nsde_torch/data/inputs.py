@@ -5,8 +5,6 @@ is well above float32 rounding). Directions below it are in the null space: coef
 identifiable.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 

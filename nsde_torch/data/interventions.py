@@ -12,8 +12,6 @@ Evaluation of data that have the column starts at these rows and nowhere else. T
 inputs before the start, which lags and delays remember.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -24,8 +24,6 @@ random-effects meta-analysis (DerSimonian and Laird, 1986), because they differ 
 Assumed and not checked: velocities are means of nothing (point samples), and white noise.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import sqrt

@@ -4,8 +4,6 @@ A pipe would make a reader wait for ever, and a file of holes (a copy or a recor
 take its whole length for a line or for messages.
 """
 
-from __future__ import annotations
-
 import stat
 from collections import Counter
 from collections.abc import Collection, Sequence

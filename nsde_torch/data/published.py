@@ -8,8 +8,6 @@ None of the files has a clock: rows are taken to be one nominal step apart, and 
 is. The `test` entry of the multirotor files repeats a training flight, so that it is no further run.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Quaternions, and the frames that logs are written in."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from nsde_torch.arrays import Array

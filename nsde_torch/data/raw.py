@@ -1,7 +1,5 @@
 """A recording as a reader hands it over: perhaps without a clock, with holes (`nan`), before any check."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any

@@ -6,8 +6,6 @@ not its business: every data set passes the same checks afterwards. The table na
 listing the kinds imports none of them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial

@@ -4,8 +4,6 @@ States are interpolated between rows, attitudes on the great circle, commands he
 missing beyond the ends of its stream and in pauses (longer than 0.25 s and than five steps).
 """
 
-from __future__ import annotations
-
 import itertools
 import re
 from collections.abc import Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """The data summary: what is in a data set, what was found in it and what was done, for people and as JSON."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass

@@ -1,7 +1,5 @@
 """What the data layer asks of a system: names, units, and which columns are derivatives of which."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any, Protocol, cast
@@ -13,39 +11,27 @@ RATE_NAMES = ("w_x", "w_y", "w_z")
 
 
 class SystemInfo(Protocol):
-    """The part of a system that readers and checks need; every `nsde_torch.systems.System` satisfies it.
-
-    Attributes:
-        name: Name of the system, for messages and for recognising published files.
-        state_names: One name for each state column.
-        state_units: Unit of each state column; `rad` marks an angle that may be logged wrapped.
-        input_names: One name for each input column.
-        input_units: Their units.
-        exogenous: Further columns that effects read; appended to the inputs in this order.
-        quaternion: Columns of a unit quaternion `w x y z`, or None.
-        position_derivatives: Triples (position name, velocity name, frame) for which d position / dt =
-            velocity.
-        optional_inputs: Inputs that a file may lack, and that are then zero.
-    """
+    """The part of a system that readers and checks need; every `nsde_torch.systems.System` satisfies it."""
 
     @property
-    def name(self) -> str: ...
+    def name(self) -> str: ...  # for messages and for recognising published files
     @property
     def state_names(self) -> tuple[str, ...]: ...
     @property
-    def state_units(self) -> tuple[str, ...]: ...
+    def state_units(self) -> tuple[str, ...]: ...  # `rad` marks an angle that may be logged wrapped
     @property
     def input_names(self) -> tuple[str, ...]: ...
     @property
     def input_units(self) -> tuple[str, ...]: ...
     @property
-    def exogenous(self) -> tuple[str, ...]: ...
+    def exogenous(self) -> tuple[str, ...]: ...  # columns that effects read; behind the inputs, in this order
     @property
-    def quaternion(self) -> slice | None: ...
+    def quaternion(self) -> slice | None: ...  # columns of a unit quaternion `w x y z`
     @property
     def position_derivatives(self) -> tuple[tuple[str, str, str], ...]: ...
+    # (position, velocity, frame) for which d position / dt = velocity
     @property
-    def optional_inputs(self) -> tuple[str, ...]: ...
+    def optional_inputs(self) -> tuple[str, ...]: ...  # those that a file may lack, and that are then zero
 
 
 def all_columns(systems: Sequence[SystemInfo]) -> SystemInfo:

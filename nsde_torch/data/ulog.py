@@ -11,8 +11,6 @@ Field meanings: PX4 message definitions (`msg/VehicleOdometry.msg` and so on, PX
 frame of `vehicle_odometry` is read from its own field, never assumed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

@@ -8,8 +8,6 @@ unpickler makes its memo as long as the largest index that is put into it (`LONG
 64 GiB.
 """
 
-from __future__ import annotations
-
 import math
 import pickle
 import pickletools

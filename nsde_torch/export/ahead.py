@@ -9,8 +9,6 @@ package holds what is loaded: no source, no symbols, and no name of a file or fo
 same controller makes the same bytes.
 """
 
-from __future__ import annotations
-
 import functools
 import logging
 import os

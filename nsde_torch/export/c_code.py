@@ -4,8 +4,6 @@ What is written by hand meets the solver and the estimator of `control.codegen` 
 its checks and its fallback are those of `step`, as loops over arrays of fixed sizes.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path

@@ -4,8 +4,6 @@ The record of what they are is the last comment of the header. The hash in it is
 (`container`), over the source, the header without the record, and the record.
 """
 
-from __future__ import annotations
-
 import ctypes
 import tempfile
 from collections.abc import Mapping

@@ -9,8 +9,6 @@ Archives are written with fixed times, order and names, so that the same control
 reveals a damaged file; it says nothing about who wrote it, and a TorchScript file or a compiled package is code.
 """
 
-from __future__ import annotations
-
 import hashlib
 import io
 import json

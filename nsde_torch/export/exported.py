@@ -3,8 +3,6 @@
 A file is code and runs when it is called: the hash in its record guards against accidents. Load files that you trust.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

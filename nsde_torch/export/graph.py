@@ -5,8 +5,6 @@ pays for is their number, so what does nothing is taken out, what repeats is don
 alone becomes a constant.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from itertools import accumulate

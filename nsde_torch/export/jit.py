@@ -4,8 +4,6 @@ The loops are those of `step.run`. Interpreting a graph costs 1 to 2 us an opera
 deprecates TorchScript and says so at every call, and files of it are what libtorch loads.
 """
 
-from __future__ import annotations
-
 import io
 import warnings
 from collections.abc import Callable, Iterator, Sequence

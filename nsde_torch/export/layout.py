@@ -7,8 +7,6 @@ to world. `after` is what the next step takes as `before`; the first step takes 
 outputs of multirotors alone.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch

@@ -1,7 +1,5 @@
 """The record of an exported file: what it was made of, and what its tensors are."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

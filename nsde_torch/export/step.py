@@ -9,8 +9,6 @@ is one source of what the controller does. Checks of the state, the shift of the
 are those of `control.controller.Controller`, as arithmetic.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

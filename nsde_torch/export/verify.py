@@ -4,8 +4,6 @@ Parity: both are given the same states, references and plans before, and must an
 Adversarial: numbers that no sensor should send; every answer must be finite and within bounds.
 """
 
-from __future__ import annotations
-
 import resource
 import time
 from collections.abc import Mapping, Sequence

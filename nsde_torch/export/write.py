@@ -1,7 +1,5 @@
 """Writing a controller as a file."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What a user chooses of a model; null leaves it to what the system and the data ask for (`models.kinds`)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -16,13 +14,9 @@ _FILTER = "taps on each side of the learned input filter; null: as the log's smo
 
 @dataclass(frozen=True)
 class ModelOptions:
-    """What every kind of model has.
+    """What every kind of model has."""
 
-    Attributes:
-        home: Where the kind of the package lies whose options these are, `module:Class` of a `ModelKind`.
-    """
-
-    home: ClassVar[str] = ""
+    home: ClassVar[str] = ""  # where the kind of the package lies whose options these are, `module:Class`
 
     kind: str = key(REQUIRED, "kind of the model, set by model=")
 

@@ -7,8 +7,6 @@ is no longer new. The runs of a data set are flown one after another on it; a ru
 with a full one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import final
 

@@ -6,8 +6,6 @@ not hold what its key says, is made anew. Writers take turns by nothing but an a
 wins, with equal content.
 """
 
-from __future__ import annotations
-
 import functools
 import hashlib
 import json

@@ -10,8 +10,6 @@ linear-quadratic regulator on the linearised equations takes over. First states 
 0.8, -0.8] .. [1, 1, pi + 0.8, 0.8].
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from math import pi
 

@@ -1,7 +1,5 @@
 """Runs of any machine: inputs that are sums of sines, first states drawn at random (`Excitation`)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from math import pi

@@ -4,8 +4,6 @@ The runs are those of the system's recording (`RECORDINGS`), put through a recor
 is a folder `run_0.csv`, `run_1.csv`, ...: header, times, states, inputs, logged columns, and nothing else.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field

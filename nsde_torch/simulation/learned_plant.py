@@ -1,7 +1,5 @@
 """A learned model in the place of the machine: paths of its equation, noise and lasting disturbances included."""
 
-from __future__ import annotations
-
 from dataclasses import KW_ONLY, dataclass
 from typing import final
 

@@ -1,7 +1,5 @@
 """Plants by the name of their system."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

@@ -9,8 +9,6 @@ and w white, white * xi / sqrt(dt); both are held over a sample, so that the int
 the variance white^2 T whatever dt is. (Gillespie, Physical Review E 54, 1996, for the exact update.)
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass
 from math import exp, sqrt

@@ -1,7 +1,5 @@
 """Settings of interventions."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from nsde_torch.options import documented, key

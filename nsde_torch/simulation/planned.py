@@ -1,8 +1,6 @@
 """Runs of a plan that `nsde design` or anyone wrote into a CSV file: inputs from the state that the plan begins in, or,
 of multirotors, a path through points that a cascade flies."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path

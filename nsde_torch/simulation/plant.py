@@ -6,8 +6,6 @@ The drift is integrated by Runge-Kutta 4 with a fine step inside each sample; gu
 (see `noise`). All rows of a batch advance at once: 256 closed loops cost little more than one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import final
 

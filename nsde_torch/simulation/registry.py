@@ -4,8 +4,6 @@ Every random number comes from `seed`. The runs pass the same checks as measured
 set is a `DataSet` like any other, of kind `simulated`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

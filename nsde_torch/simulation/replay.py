@@ -12,8 +12,6 @@ then `intervention` turns from 0 to 1. `t` is the clock of the flight. Those of 
 run; the gaps between them split it into segments.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isfinite

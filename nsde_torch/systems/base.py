@@ -48,64 +48,44 @@ _FINE_S = 0.005  # steps of memory that is not exact over whole ones
 class System(Parametrised, ABC):
     """One machine. Subclasses set the class attributes and write `dynamics` and `features`.
 
-    Attributes:
-        name: Key in `SYSTEMS`, or the user's own.
-        state_names, state_units: Columns of the state.
-        input_names, input_units: Columns of the input.
-        ports: Width of each force port.
-        coordinates: The ways in which the machine can move, each with its columns and its port; laws of the catalogue
-            are effects on each. Empty: that of the one pair of `position_derivatives`, where there is one force port.
-        older_names: Names that effects of the machine once had -> those that they have.
-        declared: Names of the effects that are part of the declared physics.
-        residual_ports: Ports that get a residual network.
-        defaults: Constants of the supplement.
-        error_names: Names of the error channels; those of the state unless it says otherwise.
-        error_groups: How they are reported; one group for each unit unless it says otherwise.
-        feature_names, feature_units: Columns of `features`; those of the state unless it says otherwise.
-        residual_names: Columns of `residual_features`; those of `features` unless it says otherwise.
-        places: Columns of states beside these that a residual network sees where the data show that a force depends on
-            them.
-        quantities: What effects on force ports may read beside state and input, name -> columns.
-        disturbed_ports: Ports on which a lasting disturbance is carried (gusts).
-        sensor_noise: Whether the state is measured with noise that a model should learn.
-        quaternion: Columns of the unit quaternion, or None.
-        position_derivatives: (position, velocity, frame) triples that kinematics ties together.
-        optional_inputs: Inputs that a file may lack, and that are then zero.
-        over_mass: Parameters that go with 1 / mass, as a gain of the input: a mass that differs between runs changes
-            them, and the forces of effects.
-        machine: What a simulated one is made of; None where nothing is to be simulated.
-
     Args:
         effects: Effects beyond the declared ones, by name or as objects.
         declared: Declared effects; None takes the system's own.
         values: Initial values of parameters; `name` for the system's, `effect.name` for an effect's.
     """
 
-    name: ClassVar[str]
-    state_names: ClassVar[tuple[str, ...]]
+    name: ClassVar[str]  # key in `SYSTEMS`, or the user's own
+    state_names: ClassVar[tuple[str, ...]]  # columns of the state
     state_units: ClassVar[tuple[str, ...]]
-    input_names: ClassVar[tuple[str, ...]]
+    input_names: ClassVar[tuple[str, ...]]  # columns of the input
     input_units: ClassVar[tuple[str, ...]]
-    ports: ClassVar[Mapping[Port, int]]
-    residual_ports: ClassVar[Mapping[Port, ResidualPort]]
-    defaults: ClassVar[Defaults]
-    error_names: ClassVar[tuple[str, ...]]
-    error_groups: ClassVar[tuple[ErrorGroup, ...]]
-    feature_names: ClassVar[tuple[str, ...]]
+    ports: ClassVar[Mapping[Port, int]]  # width of each force port
+    residual_ports: ClassVar[Mapping[Port, ResidualPort]]  # ports that get a residual network
+    defaults: ClassVar[Defaults]  # constants of the supplement
+    error_names: ClassVar[tuple[str, ...]]  # error channels; those of the state unless it says otherwise
+    error_groups: ClassVar[tuple[ErrorGroup, ...]]  # how they are reported; by default a group for each unit
+    feature_names: ClassVar[tuple[str, ...]]  # columns of `features`; by default those of the state
     feature_units: ClassVar[tuple[str, ...]]
     coordinates: ClassVar[tuple[Coordinate, ...]] = ()
-    older_names: ClassVar[Mapping[str, str]] = {}
-    declared: ClassVar[tuple[str, ...]] = ()
-    residual_names: ClassVar[tuple[str, ...]] = ()
+    """The ways in which the machine can move, each with its columns and its port; laws of the catalogue are effects on
+    each. Empty: that of the one pair of `position_derivatives`, where there is one force port."""
+    older_names: ClassVar[Mapping[str, str]] = {}  # names that effects once had -> those that they have
+    declared: ClassVar[tuple[str, ...]] = ()  # names of the effects that are part of the declared physics
+    residual_names: ClassVar[tuple[str, ...]] = ()  # columns of `residual_features`; empty: of `features`
     places: ClassVar[tuple[int, ...]] = ()
+    """Columns of states beside these that a residual network sees where the data show that a force depends on them."""
     quantities: ClassVar[Mapping[str, int]] = {}
-    disturbed_ports: ClassVar[tuple[Port, ...]] = ()
-    sensor_noise: ClassVar[bool] = False
-    quaternion: ClassVar[slice | None] = None
+    """What effects on force ports may read beside state and input, name -> columns."""
+    disturbed_ports: ClassVar[tuple[Port, ...]] = ()  # those that carry a lasting disturbance (gusts)
+    sensor_noise: ClassVar[bool] = False  # whether the state has noise that a model should learn
+    quaternion: ClassVar[slice | None] = None  # columns of the unit quaternion, or None
     position_derivatives: ClassVar[tuple[tuple[str, str, str], ...]] = ()
-    optional_inputs: ClassVar[tuple[str, ...]] = ()
+    """(position, velocity, frame) triples that kinematics ties together."""
+    optional_inputs: ClassVar[tuple[str, ...]] = ()  # inputs that a file may lack, and that are then zero
     over_mass: ClassVar[tuple[str, ...]] = ()
-    machine: ClassVar[Machine | None] = None
+    """Parameters that go with 1 / mass, as a gain of the input: a mass that differs between runs changes them, and the
+    forces of effects."""
+    machine: ClassVar[Machine | None] = None  # what a simulated one is made of; None: nothing is simulated
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)

@@ -3,8 +3,6 @@
 Their bounds need not be worked out at every drift, and nothing in them asks for a gradient.
 """
 
-from __future__ import annotations
-
 import copy
 from typing import final
 

@@ -1,7 +1,5 @@
 """What a simulated machine of a system is made of beside its equations: true values, noise, and how it is excited."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, cast

@@ -25,8 +25,6 @@ N, 50 Hz. Mass-spring-damper: m = 1, b = 0.5, k = 1, noise [0.005, 0.01] (supple
 noise.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from math import radians
 from typing import Any

@@ -39,9 +39,6 @@ _STILL = 1e-6
 class Multirotor(System):
     """Common part of all multirotors; a geometry says how many motors there are and where.
 
-    Attributes:
-        mixing: Signs and relative arms, rows thrust (all ones), roll, pitch, yaw; one column per motor.
-
     Args:
         effects, declared, values: See `System`.
         thrust_degree: Degree of the thrust map in the command, 1 to 3.
@@ -49,6 +46,7 @@ class Multirotor(System):
     """
 
     mixing: ClassVar[tuple[tuple[float, ...], ...]]
+    """Signs and relative arms, rows thrust (all ones), roll, pitch, yaw; one column per motor."""
     state_names = (
         *("p_x", "p_y", "p_z", "v_x", "v_y", "v_z"),
         *("q_w", "q_x", "q_y", "q_z", "w_x", "w_y", "w_z"),

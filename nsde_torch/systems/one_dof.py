@@ -18,13 +18,9 @@ from nsde_torch.systems.values import Defaults, ErrorGroup, ResidualPort
 
 class OneDegreeOfFreedom(System):
     """A position, its rate and one input. A machine names its states, units and parameters; what brakes or pulls is an
-    effect.
+    effect."""
 
-    Attributes:
-        gain: Name of the parameter that the input is multiplied by.
-    """
-
-    gain: ClassVar[str] = "force_gain"
+    gain: ClassVar[str] = "force_gain"  # name of the parameter that the input is multiplied by
     ports = {Port.FORCE: 1}
     sensor_noise = True
 

@@ -14,8 +14,6 @@ with them: physics is fitted with numbers for each run, networks and noise learn
 numbers of its own for each path (`nsde_torch.systems.in_run.in_new_runs`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 

@@ -6,8 +6,6 @@ the outputs whose parameter `SERVOn_FUNCTION` is a motor (33 to 40, 82 to 85), p
 `MOT_PWM_MAX`. Axes are NED and FRD.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 from pathlib import Path

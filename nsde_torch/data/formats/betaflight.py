@@ -5,8 +5,6 @@ Rates are `gyroADC` (deg/s, FLU: the firmware counts the nose down and a turn to
 position.
 """
 
-from __future__ import annotations
-
 import logging
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """MCAP files by the package mcap: messages of ROS 1, ROS 2 and JSON, with the types that the file defines."""
 
-from __future__ import annotations
-
 import json
 from collections import defaultdict
 from collections.abc import Iterator, Sequence

@@ -5,8 +5,6 @@ with quaternions `x y z w`; the twist of an odometry is along the body's axes. M
 FRD with quaternions `w x y z`.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path

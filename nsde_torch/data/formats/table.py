@@ -5,8 +5,6 @@ groups). An array (n, k) has the columns `name[0]` to `name[k-1]`; one alone in 
 `column_1` and so on.
 """
 
-from __future__ import annotations
-
 import csv
 import re
 import zipfile

@@ -4,8 +4,6 @@ The rows are those of the stream of the attitude, else of the first state. What 
 them: states interpolated, commands held (of a faster stream: the mean input during the step).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -3,8 +3,6 @@
 `vel_x`, `vx`, `twist.linear.x`, `velocity[0]` and `v_x [m/s]` are all the first axis of a velocity.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterable, Iterator, Sequence

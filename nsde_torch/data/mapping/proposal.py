@@ -5,8 +5,6 @@ quaternion, degrees, axes), the interpretation is proposed that kinematics contr
 quantity make a proposal ambiguous: it is shown, and not used unseen.
 """
 
-from __future__ import annotations
-
 import difflib
 import re
 from collections.abc import Iterable, Iterator, Mapping

@@ -4,8 +4,6 @@ One log is one run, but for tables that are streams of one. A proposal is used w
 and its checks pass; else the error says what to run. A mapping that kinematics or gravity contradict is refused.
 """
 
-from __future__ import annotations
-
 import shlex
 from collections.abc import Sequence
 from contextlib import suppress

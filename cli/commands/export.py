@@ -45,7 +45,7 @@ def run(config: Config, job: Job) -> None:
     import torch
 
     from nsde_torch.control.loop import DECLARED, system_of
-    from nsde_torch.export.record import C
+    from nsde_torch.export.container import C
     from nsde_torch.export.write import export
     from nsde_torch.systems import Multirotor
     from nsde_torch.systems.machines import machine

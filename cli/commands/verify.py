@@ -52,8 +52,8 @@ def run(config: Config, job: Job) -> None:
     from nsde_torch.control.autopilots import EstimatorOptions, PredictivePilot
     from nsde_torch.control.loop import DECLARED, knowledge, percentiles
     from nsde_torch.export import verify
+    from nsde_torch.export.container import C, hashes
     from nsde_torch.export.exported import ExportedController
-    from nsde_torch.export.record import C, hashes
     from nsde_torch.export.write import controller_of
 
     from .. import track_build

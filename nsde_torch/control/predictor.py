@@ -27,7 +27,7 @@ from nsde_torch.models.neural_sde import NeuralSDE
 from nsde_torch.rotation import quaternion_rate, rotate, rotate_back
 from nsde_torch.sde import Calculus, Step, Time, make_step, within
 from nsde_torch.systems import Multirotor, System
-from nsde_torch.systems.frozen import frozen
+from nsde_torch.systems.parameters import frozen
 
 # The residual networks of a model side by side as one, with its scaling in the weights.
 #

@@ -8,14 +8,19 @@ None of the files has a clock: rows are taken to be one nominal step apart, and 
 is. The `test` entry of the multirotor files repeats a training flight, so that it is no further run.
 """
 
+import math
+import pickle
+import pickletools
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any, BinaryIO
 
 import numpy as np
 
 from nsde_torch.arrays import Array
+from nsde_torch.data.places import log_place
 from nsde_torch.data.raw import RawRun
 from nsde_torch.data.system_info import SystemInfo
-from nsde_torch.data.unpickler import read_pickle
 from nsde_torch.errors import DataError
 
 CARTPOLE_FORCE = 25.0  # newtons for one unit of the published cartpole input
@@ -107,3 +112,199 @@ def read_published(system: SystemInfo, *, path: str | Path, dt: float | None = N
             y, u = np.stack([y[:, 0], y[:, 1], theta, y[:, 4]], axis=1), CARTPOLE_FORCE * u
         runs.append(RawRun(name, t, y, u, source=path.name))
     return runs
+
+
+# Reads a pickle that holds NumPy arrays and plain containers, and nothing else.
+#
+# A pickle is a program: a `GLOBAL` names any importable object and a `REDUCE` calls it. Python's own documentation
+# ("Restricting Globals") says to override `Unpickler.find_class`. Here that method knows the few names by which NumPy 1
+# and 2 rebuild arrays, scalars and dtypes, resolves them to functions of this file (never by import), and refuses all
+# others by name before anything is called. Opcodes are read once beforehand: Python's unpickler makes its memo as long
+# as the largest index that is put into it (`LONG_BINPUT`), so that eight bytes may take 64 GiB.
+
+
+MAX_ARRAY_BYTES = 2**31
+"""Largest array that a pickle may claim [bytes]: 2 GiB is 30 hours at 100 Hz and 25 columns."""
+
+_PLAIN = (str, int, float, bool, bytes, type(None), np.ndarray, np.generic)
+
+
+MAX_ITEMS = 1_000_000
+"""Most entries that the containers of a pickle may hold together (shared references count each time)."""
+
+
+class _RefusedError(ValueError):
+    """What a pickle holds and must not, in words."""
+
+
+class _Dtype:
+    """Stands for a dtype while the pickle is read; only plain numbers, and only the byte order can be set."""
+
+    def __init__(self, name: object) -> None:
+        try:
+            self.dtype = np.dtype(str(name)[:16] if isinstance(name, str) else "V")
+        except TypeError as error:
+            raise _RefusedError(f"the pickle asks for an unknown dtype {name!r}.") from error
+        if self.dtype.kind not in "biuf" or self.dtype.fields is not None or self.dtype.subdtype is not None:
+            raise _RefusedError(
+                f"the pickle holds values of dtype {name!r}; only plain numbers (bool, int, float) "
+                "are admitted. Save the data as float arrays."
+            )
+
+    def __setstate__(self, state: object) -> None:
+        if not (isinstance(state, tuple) and len(state) >= 5 and state[1] in ("<", ">", "|", "=")):
+            raise _RefusedError("a dtype in the pickle is damaged.")
+        if any(part is not None for part in state[2:5]):
+            raise _RefusedError("the pickle holds a structured dtype; only plain numbers are admitted.")
+        self.dtype = self.dtype.newbyteorder(state[1])
+
+
+def _array(data: object, kind: object, shape: object, order: str) -> np.ndarray[Any, Any]:
+    """An array from its bytes, once the shape has been found to fit them."""
+    if not isinstance(kind, _Dtype):
+        raise _RefusedError("an array in the pickle is damaged (no dtype).")
+    axes = shape if isinstance(shape, tuple) else (shape,)
+    if len(axes) > 32 or not all(isinstance(axis, int) and axis >= 0 for axis in axes):
+        raise _RefusedError(f"an array in the pickle claims the shape {shape!r}.")
+    size = kind.dtype.itemsize * math.prod(axes)
+    if size > MAX_ARRAY_BYTES:
+        raise _RefusedError(
+            f"an array in the pickle claims {size} bytes; at most {MAX_ARRAY_BYTES} are admitted. Split the file."
+        )
+    if not isinstance(data, bytes | bytearray) or len(data) != size:
+        held = f"{len(data)} bytes" if isinstance(data, bytes | bytearray) else type(data).__name__
+        raise _RefusedError(f"an array of shape {axes} in the pickle needs {size} bytes; it holds {held}.")
+    return np.frombuffer(data, kind.dtype).reshape(axes, order="F" if order == "F" else "C")
+
+
+class _Array:
+    """Stands for an array while the pickle is read; NumPy never sees an unchecked state."""
+
+    array: np.ndarray[Any, Any] | None = None
+
+    def __setstate__(self, state: object) -> None:
+        if not isinstance(state, tuple) or len(state) != 5:
+            raise _RefusedError(f"an array in the pickle is damaged (state of {type(state).__name__}).")
+        _, shape, dtype, fortran, data = state
+        self.array = _array(data, dtype, shape, "F" if fortran else "C")
+
+
+class _Unpickler(pickle.Unpickler):
+    """`find_class` is the only door of a pickle to code; it opens for the names below alone."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        super().__init__(file)
+
+        # functions of this reading alone: what a pickle does to one of them is gone with it
+        def reconstruct(*given: object) -> _Array:
+            return _Array()  # NumPy always writes ndarray, (0,), b"b" here; the state brings the rest
+
+        def make_dtype(name: object, align: object = False, copy: object = False) -> _Dtype:
+            return _Dtype(name)
+
+        def scalar(dtype: object, data: object = b"") -> np.generic:
+            number: np.generic = _array(data, dtype, (1,), "C")[0]
+            return number
+
+        def from_buffer(data: object, dtype: object, shape: object, order: object) -> np.ndarray[Any, Any]:
+            return _array(data, dtype, shape, str(order))
+
+        def encode(text: object, encoding: object) -> bytes:
+            # protocols 0 to 2 write bytes as text in latin1
+            if not isinstance(text, str) or encoding != "latin1":
+                raise _RefusedError(f"the pickle asks for the text encoding {encoding!r}.")
+            return text.encode("latin1")
+
+        def no_bytes(*given: object) -> bytes:
+            if given:
+                raise _RefusedError("the pickle calls `bytes`, which is refused.")
+            return b""  # how protocols 0 to 2 write empty bytes
+
+        # `ndarray` may be named, as the first argument of _reconstruct, but not called: an inert text stands
+        # for it
+        self._admitted: dict[tuple[str, str], Callable[..., object] | str] = {
+            ("numpy", "ndarray"): "numpy.ndarray",
+            ("numpy", "dtype"): make_dtype,
+            ("_codecs", "encode"): encode,
+            ("__builtin__", "bytes"): no_bytes,
+        }
+        for core in ("numpy.core", "numpy._core"):
+            self._admitted[f"{core}.multiarray", "_reconstruct"] = reconstruct
+            self._admitted[f"{core}.multiarray", "scalar"] = scalar
+            self._admitted[f"{core}.numeric", "_frombuffer"] = from_buffer
+
+    def find_class(self, module: str, name: str) -> Any:
+        if (module, name) not in self._admitted:
+            raise _RefusedError(
+                f"the pickle asks for `{module}.{name}`, which is refused: only NumPy arrays and plain lists, tuples, "
+                "dicts, numbers and strings are admitted. Save the data as such, or as CSV."
+            )
+        return self._admitted[module, name]
+
+    def persistent_load(self, pid: object) -> Any:
+        raise _RefusedError(f"the pickle refers to an object outside itself ({pid!r}), which is refused.")
+
+
+class _Unwrap:
+    """Replaces the stand-ins by the objects that they represent; refuses whatever is not plain data."""
+
+    def __init__(self) -> None:
+        self._left = MAX_ITEMS
+
+    def __call__(self, value: object, depth: int = 0) -> object:
+        self._left -= 1
+        if depth > 32 or self._left < 0:
+            raise _RefusedError(
+                f"the pickle nests containers more than 32 deep or holds more than {MAX_ITEMS} entries."
+            )
+        if isinstance(value, _Array):
+            if value.array is None:
+                raise _RefusedError("an array in the pickle has no content.")
+            return value.array
+        if isinstance(value, _Dtype):
+            return value.dtype
+        if isinstance(value, list | tuple):
+            return type(value)(self(v, depth + 1) for v in value)
+        if isinstance(value, dict):
+            return {self(k, depth + 1): self(v, depth + 1) for k, v in value.items()}
+        if not isinstance(value, _PLAIN):
+            raise _RefusedError(
+                f"the pickle holds a {type(value).__name__}, which is refused: only NumPy arrays and plain lists, "
+                "tuples, dicts, numbers and strings are admitted."
+            )
+        return value
+
+
+def _check_memo(file: BinaryIO) -> None:
+    """Refuse a pickle with an index into the memo that is larger than the number of opcodes before it."""
+    for count, (opcode, number, _) in enumerate(pickletools.genops(file)):
+        if opcode.name in ("PUT", "BINPUT", "LONG_BINPUT") and not 0 <= int(number or 0) <= count:
+            raise _RefusedError(
+                f"the pickle's opcode {count} puts a value at index {number} of the memo, which no writer "
+                "does. It is damaged, or made to fill the memory: copy it again, or save the data as CSV."
+            )
+
+
+def read_pickle(path: str | Path) -> object:
+    """Contents of a pickle of NumPy arrays and plain containers; nothing in the file is executed.
+
+    These are lists, tuples, dicts, strings, numbers, None and NumPy arrays of bool, int or float. A DataError where the
+    file is missing, not a pickle, cut short, or names anything else (the name is in the message).
+    """
+    path = log_place(path, "a pickle file (.pkl)")
+    if path.is_dir():
+        raise DataError(f"`path`: {path} is a folder; expected a pickle file (.pkl).")
+    try:
+        with path.open("rb") as file:
+            _check_memo(file)
+            file.seek(0)
+            return _Unwrap()(_Unpickler(file).load())
+    except _RefusedError as error:
+        raise DataError(f"{path}: {error}") from error
+    except RecursionError as error:
+        raise DataError(f"{path}: the pickle nests containers too deep.") from error
+    except Exception as error:  # damaged opcodes raise nearly anything, also from inside NumPy
+        raise DataError(
+            f"{path} is not a readable pickle ({type(error).__name__}: {error}). It may be cut short or of "
+            "another format; copy it again."
+        ) from error

@@ -18,7 +18,7 @@ from torch import Tensor
 from nsde_torch.control.compiled import NoCompiler, compiled
 from nsde_torch.errors import ExportError
 from nsde_torch.export import container
-from nsde_torch.export.layout import Sizes
+from nsde_torch.export.step import Sizes
 
 MARK, _BEGIN, _END = "@RECORD@", "/* nsde record\n", "\n*/\n"
 FLAGS = ("-std=c99", "-O2")
@@ -77,7 +77,7 @@ def library(path: Path) -> ctypes.CDLL:
 
 @final
 class CController:
-    """A controller in C behind the face of the exported step: `step` and `predict` of plain tensors, see `layout`."""
+    """A controller in C behind the face of the exported step: `step` and `predict` of tensors, see `step_inputs`."""
 
     def __init__(self, built: ctypes.CDLL, about: Mapping[str, Any]) -> None:
         self._sizes = Sizes(**about["sizes"])
@@ -101,7 +101,7 @@ class CController:
         self._built, self._real = built, number
 
     def step(self, state: Tensor, valid: Tensor, elapsed: Tensor, *rest: Tensor) -> tuple[Tensor, ...]:
-        """See `layout.step_inputs` and `layout.step_outputs`."""
+        """See `step_inputs` and `step_outputs`."""
         # held by a name while the call looks at them
         given, reference, last, push, memory, before = map(self._given, (state, *rest))
         plan, accepted, late = before.clone(), int(float(valid) > 0.5), self._real(float(elapsed))
@@ -110,7 +110,7 @@ class CController:
         return self._answer(plan)
 
     def predict(self, z: Tensor, u: Tensor, push: Tensor) -> tuple[Tensor]:
-        """See `layout.predict_inputs`."""
+        """See `predict_inputs`."""
         after = torch.empty(self._sizes.nz, dtype=self._dtype)
         tables = [*map(self._given, (z, u, push)), after]
         self._built.nsde_predict(*map(_at, tables))

@@ -16,11 +16,10 @@ from nsde_torch.control.controller import LATE, Plan, hovering_plan
 from nsde_torch.control.solve import SolverOptions
 from nsde_torch.effects import Port
 from nsde_torch.errors import ExportError, ShapeError
-from nsde_torch.export import c_file, container, jit, record
-from nsde_torch.export.layout import AGE, JUMPED, N_HEAD, SOLVES, Sizes, first_inputs
-from nsde_torch.export.step import packed
+from nsde_torch.export import c_file, container, jit
+from nsde_torch.export.step import AGE, JUMPED, N_HEAD, SOLVES, Sizes, first_inputs, packed
 from nsde_torch.systems import System
-from nsde_torch.systems.frozen import frozen
+from nsde_torch.systems.parameters import frozen
 
 Function = Callable[..., Sequence[Tensor]]
 
@@ -76,19 +75,19 @@ class ExportedController:
         self.path = Path(path)
         in_c = c_file.is_c(self.path)
         archive, self.record = (b"", c_file.read(self.path)) if in_c else container.read(self.path)
-        self.step: Function  # the step itself; see `layout.step_inputs` and `layout.step_outputs`
+        self.step: Function  # the step itself; see `step_inputs` and `step_outputs`
         predict: Function
         try:
-            record.check(self.record)
+            container.check(self.record)
             self.pilot: c_file.CController | None = None
-            if self.record["kind"] == record.C:
+            if self.record["kind"] == container.C:
                 self.pilot = c_file.CController(c_file.library(self.path), self.record)
                 self.step, predict = self.pilot.step, self.pilot.predict
             else:
                 self.step, predict = _functions(self.record, archive, self.path)
-            self.options, solver, self.safety = record.options_of(self.record)
+            self.options, solver, self.safety = container.options_of(self.record)
             self.sizes = Sizes(**self.record["sizes"])
-            self.known = record.system_of(self.record)
+            self.known = container.system_of(self.record)
             self.hover = torch.tensor(self.record["hover"], dtype=getattr(torch, self.record["dtype"]))
             sample = float(self.record["sample_s"])
         except ExportError as error:
@@ -148,16 +147,16 @@ class ExportedController:
 def _functions(about: dict[str, Any], archive: bytes, path: Path) -> tuple[Function, Function]:
     """`step` and `predict` of a file that has been checked."""
     kind = about["kind"]
-    if kind == record.TORCHSCRIPT:
+    if kind == container.TORCHSCRIPT:
         try:
             step, predict = jit.loaded(archive, ("step", "predict"))
             return step, predict
         except (RuntimeError, AttributeError) as error:
             raise ExportError(f"torch cannot load it ({str(error).splitlines()[0]}). Export anew.") from error
-    if kind == record.AOTI:
+    if kind == container.AOTI:
         from nsde_torch.export.ahead import loaded
 
         return loaded(path, about["loops"])
     raise ExportError(
-        f"it is of the kind {kind!r}; this version knows {record.TORCHSCRIPT}, {record.AOTI} and {record.C}."
+        f"it is of the kind {kind!r}; this version knows {container.TORCHSCRIPT}, {container.AOTI} and {container.C}."
     )

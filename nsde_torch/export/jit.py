@@ -13,8 +13,7 @@ from dataclasses import asdict
 import torch
 from torch import Tensor
 
-from nsde_torch.export.layout import step_outputs
-from nsde_torch.export.step import ExportedStep
+from nsde_torch.export.step import ExportedStep, step_outputs
 
 Function = Callable[..., Sequence[Tensor]]
 _STEP = """
@@ -92,7 +91,7 @@ def _quiet() -> Iterator[None]:
 
 
 def scripted(step: ExportedStep) -> bytes:
-    """The bytes of a file with the step as a frozen module of the methods `step` and `predict` (see `layout`)."""
+    """The bytes of a file with the step as a frozen module of the methods `step` and `predict` (see `step_inputs`)."""
     from nsde_torch.export.graph import graph_of  # with torch's tracer, which those who load do without
 
     buffer, examples, s = io.BytesIO(), step.examples(), step.sizes

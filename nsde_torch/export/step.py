@@ -17,24 +17,134 @@ from typing import final
 import torch
 from torch import Tensor, nn
 
+from nsde_torch.control import controller as c
 from nsde_torch.control.controller import Controller, Plan
 from nsde_torch.control.gauss_newton import CHANGES, LEFT, GaussNewton, saved
 from nsde_torch.control.predictor import Predictor
 from nsde_torch.control.problem import _repeat
 from nsde_torch.errors import ConfigError
-from nsde_torch.export.layout import (
-    AGE,
-    COST,
-    GAP,
-    JUMPED,
-    KNOWN,
-    N_HEAD,
-    SOLVES,
-    TROUBLES,
-    Sizes,
-    first_inputs,
-)
 from nsde_torch.systems import Multirotor
+
+# What goes into the exported step and what comes out: names, shapes, units, frames; and the words of its status.
+#
+#     step(state, valid, elapsed, reference, last, push, memory, before) -> inputs, rates, thrust, ..., status, after
+#
+# All tensors are of double precision, on the CPU, without a batch axis. World ENU, body FLU, quaternion w x y z from
+# body to world. `after` is what the next step takes as `before`; the first step takes zeros. Rates, thrust and lift are
+# outputs of multirotors alone.
+
+TROUBLES = (c.BAD_STATE, c.BAD_REFERENCE, c.JUMP, c.DIVERGED)
+
+
+def status_words(at_rest: str) -> tuple[str, ...]:
+    """Words of the numbers that `status` takes, for a machine whose last thing to do is called so."""
+    return c.CONVERGED, c.IMPROVED, *(f"{t}:{done}" for t in TROUBLES for done in (c.KEPT, at_rest))
+
+
+STATUS = status_words(c.HOVER)
+"""Those of a multirotor."""
+
+KNOWN, AGE, JUMPED, COST, GAP, SOLVES = range(6)
+N_HEAD = 6
+"""Places at the head of `before` and `after`; inputs (steps, nu) and states (particles, steps + 1, nz) follow."""
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Sizes of a controller."""
+
+    nx: int  # states
+    nu: int  # inputs
+    nz: int  # states with memory
+    nd: int  # pushes
+    steps: int  # of a plan
+    particles: int  # paths of a plan
+    flies: bool  # whether it is a multirotor's
+
+    @property
+    def n_plan(self) -> int:
+        """Length of `before` and `after`."""
+        return N_HEAD + self.steps * self.nu + self.particles * (self.steps + 1) * self.nz
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One tensor."""
+
+    name: str  # what it is called
+    shape: tuple[int, ...]  # its axes
+    unit: str  # its unit, or one per column
+    help: str  # what it is
+
+
+_STATE, _PUSH = "m, m/s, 1, rad/s", "m/s2, rad/s2"
+
+
+def step_inputs(s: Sizes, units: str = _STATE) -> tuple[Entry, ...]:
+    """Arguments of `step`, in order; `units` are those of the states."""
+    return (
+        Entry("state", (s.nx,), units, "measured state at the time from which the plan holds"),
+        Entry("valid", (), "1", "0: the state is not reliable, whatever it says"),
+        Entry("elapsed", (), "s", "time since the step that `before` comes from"),
+        Entry("reference", (s.steps, s.nx), units, "states to track at the ends of the steps"),
+        Entry("last", (s.nu,), "1", "inputs that act now; nan: those of the plan before"),
+        Entry("push", (s.nd,), _push(s), "disturbance on the force ports; 0: none"),
+        Entry(
+            "memory", (s.nz - s.nx,), "1", "memory of the model's effects now; nan: stationary under `last`"
+        ),
+        Entry("before", (s.n_plan,), "1", "`after` of the step before; zeros: there was none"),
+    )
+
+
+def first_inputs(s: Sizes, x: Tensor) -> dict[str, Tensor]:
+    """Arguments of a first step by name, in order: at a state (nx,), where the machine is to stay."""
+    made = {e.name: torch.zeros(e.shape, dtype=torch.float64) for e in step_inputs(s)}
+    unknown = {name: torch.full_like(made[name], torch.nan) for name in ("last", "memory")}
+    valid = torch.ones((), dtype=torch.float64)
+    return {**made, **unknown, "state": x.clone(), "reference": x.repeat(s.steps, 1), "valid": valid}
+
+
+def step_outputs(s: Sizes, units: str = _STATE) -> tuple[Entry, ...]:
+    """What `step` returns, in order; `units` are those of the states."""
+    flight = (
+        Entry("rates", (3,), "rad/s", "desired body rates: those that the plan expects one step ahead"),
+        Entry("thrust", (), "1", "mean of the first commands"),
+        Entry("lift", (s.steps,), "m/s2", "collective thrust over mass along the body's z axis, by step"),
+    )
+    return (
+        Entry(
+            "inputs",
+            (s.steps, s.nu),
+            "1",
+            "commands, finite and within bounds; row k holds for the k-th step",
+        ),
+        *(flight if s.flies else ()),
+        Entry("states", (s.steps + 1, s.nx), units, "states that the plan expects"),
+        Entry("cost", (), "1", "what the plan costs; infinite for one that stays at rest"),
+        Entry("gap", (), "1", "estimated share of the cost that a better plan would save"),
+        Entry("status", (), "1", "number of the word in `status`"),
+        Entry("iterations", (), "1", "iterations of the solver"),
+        Entry("after", (s.n_plan,), "1", "the plan, for the next step"),
+    )
+
+
+def predict_inputs(s: Sizes, units: str = _STATE) -> tuple[Entry, ...]:
+    """Arguments of `predict`, in order."""
+    return (
+        Entry("z", (s.nz,), units, "state with the memory of the model's effects"),
+        Entry("u", (s.nu,), "1", "inputs that act, held"),
+        Entry("push", (s.nd,), _push(s), "disturbance on the force ports"),
+    )
+
+
+def predict_outputs(s: Sizes, units: str = _STATE) -> tuple[Entry, ...]:
+    """What `predict` returns."""
+    return (Entry("z", (s.nz,), units, "the same one sample later"),)
+
+
+def _push(s: Sizes) -> str:
+    return _PUSH if s.flies else "those of the rates that it is added to"
+
 
 Stage = Callable[..., Sequence[Tensor]]
 STAGES = ("begin", "prepare", "active_set", "tries", "advance", "choose", "end", "predict")
@@ -97,10 +207,10 @@ class ExportedStep(nn.Module):
         memory: Tensor,
         before: Tensor,
     ) -> tuple[Tensor, ...]:
-        """From what the step is given (`layout.step_inputs`) to the problem.
+        """From what the step is given (`step_inputs`) to the problem.
 
         z0 (1, nz), start u (1, K, nu), start z (1, P, K + 1, nz), reference (1, K, nx), last (1, nu), push (1, nd),
-        head (6,): see `layout.KNOWN` and the places after it; and the trouble, 0-d.
+        head (6,): see `KNOWN` and the places after it; and the trouble, 0-d.
         """
         s, safety, dtype, inf = self.sizes, self.safety, self.dtype, torch.inf
         head, old_u, old_z = self._unpacked(before)
@@ -201,7 +311,7 @@ class ExportedStep(nn.Module):
         head: Tensor,
         trouble: Tensor,
     ) -> tuple[Tensor, ...]:
-        """From the best plan to what leaves, or what takes its place; see `layout.step_outputs`."""
+        """From the best plan to what leaves, or what takes its place; see `step_outputs`."""
         s, dtype = self.sizes, torch.float64
         safe = (trouble < 0.5) & torch.isfinite(cost).all() & torch.isfinite(found_u).all()
         trouble = torch.where(trouble < 0.5, float(len(TROUBLES)), trouble)
@@ -233,7 +343,7 @@ class ExportedStep(nn.Module):
         return (*plan, own_cost, own_gap, status, iterations.to(dtype), after)
 
     def predict(self, z: Tensor, u: Tensor, push: Tensor) -> tuple[Tensor, ...]:
-        """State with memory (nz,) a sample later; see `layout.predict_inputs`."""
+        """State with memory (nz,) a sample later; see `predict_inputs`."""
         rows = (t.to(self.dtype)[None] for t in (z, u, push))
         return (self.sample(*rows)[0].to(torch.float64),)
 
@@ -278,7 +388,7 @@ def run(stages: Mapping[str, Stage], loops: Loops, *given: Tensor) -> tuple[Tens
     """The step, stage after stage: what every form of it does.
 
     The stages, those of `STAGES` or of `WHOLE`, are as they are, graphs or compiled; `given` is that of
-    `layout.step_inputs`.
+    `step_inputs`.
     """
     finish = stages["finish"] if "finish" in stages else _composed(stages)
     z0, start_u, start_z, ref, last, d, head, trouble = stages["begin"](*given)

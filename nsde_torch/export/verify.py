@@ -21,7 +21,7 @@ from nsde_torch.control.loop import percentiles
 from nsde_torch.control.reference import StateReference, at_rest
 from nsde_torch.errors import DataError
 from nsde_torch.export.exported import ExportedController
-from nsde_torch.export.layout import STATUS, first_inputs
+from nsde_torch.export.step import STATUS, first_inputs
 from nsde_torch.rotation import turned
 
 TOLERANCE = 1e-4
@@ -295,7 +295,7 @@ def attack(
 
 
 def unsafe(answer: Mapping[str, Tensor], low: Tensor, high: Tensor) -> str | None:
-    """What is wrong with what a step returned, by name (`layout.step_outputs`), if anything.
+    """What is wrong with what a step returned, by name (`step_outputs`), if anything.
 
     `low` and `high` are the bounds of its inputs (nu,).
     """

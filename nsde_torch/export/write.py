@@ -13,7 +13,7 @@ from nsde_torch.control.problem import ProblemOptions
 from nsde_torch.control.solve import SolverOptions
 from nsde_torch.errors import ConfigError, ExportError
 from nsde_torch.export import c_file, container, jit
-from nsde_torch.export.record import AOTI, TORCHSCRIPT, C, record_of
+from nsde_torch.export.container import AOTI, TORCHSCRIPT, C, record_of
 from nsde_torch.export.step import ExportedStep
 from nsde_torch.models import Model
 from nsde_torch.systems import System

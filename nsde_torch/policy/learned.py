@@ -21,7 +21,7 @@ from nsde_torch.models.neural_sde import NeuralSDE
 from nsde_torch.policy.environment import Dynamics
 from nsde_torch.sde import brownian, rollout
 from nsde_torch.simulation import make_plant
-from nsde_torch.simulation.noise import Sensor
+from nsde_torch.simulation.plant import Sensor
 from nsde_torch.systems import make_plant_system
 
 # The true cart and pole: the package's plant, or the machine that the published data came from.

@@ -25,7 +25,7 @@ from nsde_torch.effects.registry import effects_of
 from nsde_torch.errors import ExportError
 from nsde_torch.export import c_file, verify
 from nsde_torch.export.exported import ExportedController
-from nsde_torch.export.layout import STATUS
+from nsde_torch.export.step import STATUS
 from nsde_torch.export.write import controller_of, export
 from nsde_torch.models import NeuralSDE, SDESpec
 from nsde_torch.systems import Multirotor, System, make_system

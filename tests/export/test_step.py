@@ -8,8 +8,7 @@ import torch
 from nsde_torch.control.reference import Reference
 from nsde_torch.errors import ConfigError
 from nsde_torch.export.graph import graph_of
-from nsde_torch.export.layout import STATUS
-from nsde_torch.export.step import STAGES, WHOLE, ExportedStep, Stage, packed, run
+from nsde_torch.export.step import STAGES, STATUS, WHOLE, ExportedStep, Stage, packed, run
 from nsde_torch.models import NeuralSDE
 from nsde_torch.systems import System
 from tests.helpers.exported import all_kinds, flight, small_controller, step_of, word_of

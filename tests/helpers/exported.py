@@ -11,8 +11,7 @@ from nsde_torch.control.predictor import Predictor
 from nsde_torch.control.problem import ProblemOptions
 from nsde_torch.control.reference import Reference
 from nsde_torch.control.solve import SolverOptions
-from nsde_torch.export.layout import N_HEAD, STATUS
-from nsde_torch.export.step import ExportedStep, packed
+from nsde_torch.export.step import N_HEAD, STATUS, ExportedStep, packed
 from nsde_torch.models import NeuralSDE
 from nsde_torch.systems import System
 

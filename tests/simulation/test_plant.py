@@ -11,7 +11,7 @@ from nsde_torch.effects import Port
 from nsde_torch.errors import ConfigError, NonFiniteError, ShapeError
 from nsde_torch.rotation import rotation_between, turned
 from nsde_torch.simulation import Plant, make_plant
-from nsde_torch.simulation.noise import Gusts
+from nsde_torch.simulation.plant import Gusts
 from nsde_torch.systems import make_system
 from nsde_torch.systems.machine import Gust
 

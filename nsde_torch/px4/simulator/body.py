@@ -24,10 +24,10 @@ from nsde_torch.px4.flight.cascade import GRAVITY
 from nsde_torch.px4.link.vectors import Quat, Vec, parts, plus, rotate, rotate_back, turned_by_rates
 from nsde_torch.rotation import euler_coupling
 from nsde_torch.simulation.battery import ENDURANCE, FULL, HOVER, LOAD, SWING
-from nsde_torch.simulation.noise import Gusts
+from nsde_torch.simulation.plant import Gusts
 from nsde_torch.systems import Multirotor
-from nsde_torch.systems.frozen import frozen
 from nsde_torch.systems.machines import Effects, machine, make_plant_system, named_effects
+from nsde_torch.systems.parameters import frozen
 
 HELD = 0.01  # interval at which gusts and effects beyond the rigid body are computed [s]
 _NATIVE = {"motor_lag", "linear_drag"}

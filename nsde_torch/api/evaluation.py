@@ -15,8 +15,7 @@ from nsde_torch.errors import ConfigError
 from nsde_torch.evaluation.common_grid import Candidate
 from nsde_torch.evaluation.comparison import Comparison, compare
 from nsde_torch.evaluation.seen import SeenRuns
-from nsde_torch.models.capabilities import is_equation, learns_sensors
-from nsde_torch.models.model import Model
+from nsde_torch.models.model import Model, is_equation, learns_sensors
 from nsde_torch.models.run_directory import load
 from nsde_torch.threads import one_thread
 from nsde_torch.training.prepare import sensor_std

@@ -22,7 +22,7 @@ from nsde_torch.columns import few, split_columns
 from nsde_torch.effects import Port
 from nsde_torch.errors import ConfigError
 from nsde_torch.models import Model
-from nsde_torch.models.capabilities import has_physics, is_equation
+from nsde_torch.models.model import has_physics, is_equation
 from nsde_torch.models.neural_sde import NeuralSDE
 from nsde_torch.rotation import quaternion_rate, rotate, rotate_back
 from nsde_torch.sde import Calculus, Step, Time, make_step, within

@@ -47,7 +47,7 @@ READERS: dict[str, Reader] = {
         folders=False,
         takes_step=True,
     ),
-    "mcap": _log_format("mcap:open_mcap", "MCAP files: topics of ROS 1, ROS 2 and JSON.", ".mcap"),
+    "mcap": _log_format("ros:open_mcap", "MCAP files: topics of ROS 1, ROS 2 and JSON.", ".mcap"),
     "rosbag": _log_format("ros:open_rosbag", "Bags of ROS 1 (.bag) and ROS 2 (.db3).", ".bag", ".db3"),
     "ardupilot": _log_format("ardupilot:open_ardupilot", "ArduPilot's DataFlash logs.", ".bin"),
     "betaflight": _log_format("betaflight:open_betaflight", "Betaflight's black box logs.", ".bbl", ".bfl"),

@@ -27,8 +27,7 @@ from nsde_torch.effects import Port
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.evaluation.report import number, table
 from nsde_torch.inference.steps import steps_of
-from nsde_torch.models.capabilities import is_equation
-from nsde_torch.models.model import Model
+from nsde_torch.models.model import Model, is_equation
 from nsde_torch.models.neural_sde import NeuralSDE
 from nsde_torch.recording.smoothing import as_applied
 from nsde_torch.sysid.noise import Series

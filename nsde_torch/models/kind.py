@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 from nsde_torch.data.run import Run
 from nsde_torch.data.windows import TOLERANCE
 from nsde_torch.errors import ConfigError
-from nsde_torch.lookup import class_by_name
+from nsde_torch.lookup import class_by_name, function_by_name
 from nsde_torch.models.model import Model, ModelSpec
 from nsde_torch.models.options import MODELS, ModelOptions
 from nsde_torch.recording.smoothing import smoothing_width
@@ -78,6 +78,7 @@ class ModelKind(ABC):
     noise: ClassVar[bool | None] = None
     """Whether its integrator must be one for equations with noise (True), without (False), or either (None)."""
     compiles: ClassVar[bool] = True  # whether compiling the integrator's step pays for it
+    fitted_by: ClassVar[str] = ""  # `module:function` that fits its models, where `fit` is not written
 
     @classmethod
     @abstractmethod
@@ -88,9 +89,9 @@ class ModelKind(ABC):
         """
 
     @classmethod
-    @abstractmethod
     def fit(cls, task: Any) -> Any:
         """Fit a model to runs: from a `Task` the model and how it went, a `Fitted` (`nsde_torch.training.task`)."""
+        return function_by_name(cls.fitted_by)(task)
 
     @classmethod
     def step(cls, choice: Choice) -> Step:

@@ -12,7 +12,6 @@ How each is fitted lies a layer above, and is named by where it lies: who flies 
 from dataclasses import fields
 from typing import Any, ClassVar, final
 
-from nsde_torch.lookup import function_by_name
 from nsde_torch.models.ensemble import EnsembleSpec, GaussianEnsemble
 from nsde_torch.models.feedback_model import LAGS
 from nsde_torch.models.identified import IdentifiedModel, SysidSpec
@@ -32,6 +31,7 @@ class _Equation(ModelKind):
 
     spec = SDESpec
     model = NeuralSDE
+    fitted_by = "nsde_torch.training.fit_sde:fit_sde"
     physics: ClassVar[bool] = True
     learns_lag: ClassVar[bool] = True
 
@@ -69,10 +69,6 @@ class _Equation(ModelKind):
             loss=choice.loss,
             feedback=LAGS if innovations and not plain and chosen.get("learn_feedback") else 0,
         )
-
-    @classmethod
-    def fit(cls, task: Any) -> Any:
-        return function_by_name("nsde_torch.training.fit_sde:fit_sde")(task)
 
 
 @final
@@ -116,6 +112,7 @@ class EnsembleKind(ModelKind):
     options = EnsembleOptions
     spec = EnsembleSpec
     model = GaussianEnsemble
+    fitted_by = "nsde_torch.training.fit_ensemble:fit_ensemble"
 
     @classmethod
     def make_spec(cls, choice: Choice) -> EnsembleSpec:
@@ -123,10 +120,6 @@ class EnsembleKind(ModelKind):
         assert isinstance(chosen, EnsembleOptions)
         own = {k: v for k, v in vars(chosen).items() if k not in ("kind", "hidden")}
         return EnsembleSpec(**choice.common, **own, hidden=tuple(chosen.hidden))
-
-    @classmethod
-    def fit(cls, task: Any) -> Any:
-        return function_by_name("nsde_torch.training.fit_ensemble:fit_ensemble")(task)
 
 
 @final
@@ -136,6 +129,7 @@ class SysidKind(ModelKind):
     options = SysidOptions
     spec = SysidSpec
     model = IdentifiedModel
+    fitted_by = "nsde_torch.training.fit_sysid:fit_sysid"
     noise = False
     compiles = False  # done before it compiles
 
@@ -154,7 +148,3 @@ class SysidKind(ModelKind):
             step=cls.step_name(choice),
             solver=choice.integrator.settings,
         )
-
-    @classmethod
-    def fit(cls, task: Any) -> Any:
-        return function_by_name("nsde_torch.training.fit_sysid:fit_sysid")(task)

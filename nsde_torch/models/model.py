@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypeGuard
 
 import torch
 from torch import Tensor, nn
@@ -17,6 +17,9 @@ from nsde_torch.systems.values import Values
 
 if TYPE_CHECKING:
     from nsde_torch.data import Run
+    from nsde_torch.models.ensemble import GaussianEnsemble
+    from nsde_torch.models.identified import IdentifiedModel
+    from nsde_torch.models.neural_sde import NeuralSDE
     from nsde_torch.models.prediction import RunPrediction
 
 
@@ -295,3 +298,31 @@ def _check_finite(name: str, given: Tensor) -> None:
 def normal(shape: tuple[int, ...], generator: torch.Generator, like: Tensor) -> Tensor:
     """Standard normal numbers from a generator, of another tensor's type and device."""
     return torch.randn(*shape, generator=generator, device=generator.device, dtype=like.dtype).to(like.device)
+
+
+# Questions to a model about what it can do, typed so that the type checker knows what the answer means.
+
+
+def has_physics(model: Model) -> "TypeGuard[IdentifiedModel | NeuralSDE]":
+    """Whether declared physics is the drift of the model, or part of it."""
+    return model.capabilities.has_physics
+
+
+def is_equation(model: Model) -> "TypeGuard[NeuralSDE]":
+    """Whether the model is a stochastic equation with a learned part."""
+    return model.capabilities.is_equation
+
+
+def is_stochastic(model: Model) -> "TypeGuard[NeuralSDE]":
+    """Whether the model is such an equation with a diffusion, and a distance from the data that scales it."""
+    return model.capabilities.is_equation and model.capabilities.is_stochastic
+
+
+def learns_sensors(model: Model) -> "TypeGuard[NeuralSDE]":
+    """Whether the model has a sensor noise of its own."""
+    return model.capabilities.learns_sensors
+
+
+def has_members(model: Model) -> "TypeGuard[GaussianEnsemble]":
+    """Whether the model is an ensemble, of whose members a particle follows one."""
+    return model.capabilities.propagation is not None

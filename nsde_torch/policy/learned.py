@@ -14,9 +14,8 @@ import torch
 from torch import Tensor
 
 from nsde_torch.errors import ConfigError
-from nsde_torch.models.capabilities import has_members, is_equation
 from nsde_torch.models.ensemble import PROPAGATIONS, GaussianEnsemble
-from nsde_torch.models.model import Model, normal
+from nsde_torch.models.model import Model, has_members, is_equation, normal
 from nsde_torch.models.neural_sde import NeuralSDE
 from nsde_torch.policy.environment import Dynamics
 from nsde_torch.sde import brownian, rollout

@@ -1,16 +1,14 @@
 """Simulated runs on disk: one `.npz` for each hash of their settings and code.
 
-The key is a hash of all settings and of the source files that a simulation runs through, so that no change
-of the code can be answered with old runs. No pickle is written or read. A file that cannot be read, or does
-not hold what its key says, is made anew. Writers take turns by nothing but an atomic rename: the last one
-wins, with equal content.
+The key is a hash of all settings and of the source files that a simulation runs through, so that no change of the code
+can be answered with old runs. No pickle is written or read. A file that cannot be read is made anew. Writers take turns
+by nothing but an atomic rename: the last one wins, with equal content.
 """
 
 import functools
 import hashlib
 import json
 import os
-import tempfile
 import zipfile
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -45,51 +43,34 @@ def code_hash() -> str:
     return digest.hexdigest()
 
 
-def key_of(settings: Mapping[str, Any]) -> str:
-    """Key of a simulation (hex); settings are plain containers."""
-    text = json.dumps({**settings, "code": code_hash()}, sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()[:32]
+def path_of(settings: Mapping[str, Any], folder: str | Path | None = None) -> Path:
+    """File of the runs of a simulation with these settings."""
+    text = json.dumps({**settings, "code": code_hash()}, sort_keys=True, default=list)
+    return cache_folder(folder) / f"simulated-{hashlib.sha256(text.encode()).hexdigest()[:32]}.npz"
 
 
-def path_of(key: str, folder: str | Path | None = None) -> Path:
-    """File of a key."""
-    return cache_folder(folder) / f"simulated-{key}.npz"
-
-
-def load(key: str, folder: str | Path | None = None) -> list[RawRun] | None:
-    """Runs of a key, or None where there are none that can be read."""
-    path = path_of(key, folder)
+def load(path: Path) -> list[RawRun] | None:
+    """Runs of a file, or None where there is none that can be read."""
     try:
         with np.load(path, allow_pickle=False) as content:
-            if str(content["key"]) != key:
-                return None
-            runs = []
-            for i, name in enumerate(content["names"].tolist()):
-                t, x, u = (np.asarray(content[f"{part}_{i}"], dtype=np.float64) for part in "txu")
-                if not (t.ndim == 1 and x.ndim == u.ndim == 2 and len(t) == len(x) == len(u)):
-                    return None
-                runs.append(RawRun(str(name), t, x, u, source="simulated"))
-            return runs or None
+            names = content["names"].tolist()
+            parts = [[content[f"{part}_{i}"] for part in "txu"] for i in range(len(names))]
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         return None
+    return [RawRun(name, *columns, source="simulated") for name, columns in zip(names, parts, strict=True)]
 
 
-def store(key: str, runs: Sequence[RawRun], folder: str | Path | None = None) -> Path | None:
-    """Write runs under a key; None where the folder cannot be written, since a cache is no necessity."""
-    path = path_of(key, folder)
-    content: dict[str, Any] = {"key": np.array(key), "names": np.array([run.name for run in runs])}
+def store(path: Path, runs: Sequence[RawRun]) -> None:
+    """Write runs, if the folder can be written: a cache is no necessity."""
+    content: dict[str, Any] = {"names": np.array([run.name for run in runs])}
     for i, run in enumerate(runs):
         content |= {f"t_{i}": run.t, f"x_{i}": run.x, f"u_{i}": run.u}
-    temporary: str | None = None
-    try:
+    part = path.with_suffix(f".{os.getpid()}.part")
+    with suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.stem, suffix=".part")
-        with os.fdopen(handle, "wb") as file:
-            np.savez(file, allow_pickle=False, **content)
-        os.replace(temporary, path)
-    except OSError:
-        if temporary is not None:
-            with suppress(OSError):
-                os.unlink(temporary)
-        return None
-    return path
+        try:
+            with part.open("wb") as file:
+                np.savez(file, allow_pickle=False, **content)
+            part.replace(path)
+        finally:
+            part.unlink(missing_ok=True)

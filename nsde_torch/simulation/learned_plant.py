@@ -8,7 +8,7 @@ from torch import Tensor
 
 from nsde_torch.errors import ConfigError
 from nsde_torch.models import Model
-from nsde_torch.models.capabilities import is_equation
+from nsde_torch.models.model import is_equation
 from nsde_torch.sde import make_step
 from nsde_torch.simulation.plant import Sensor
 from nsde_torch.systems.machine import Limits, ends_of

@@ -279,12 +279,7 @@ class Plant:
         x, u = self._rows("x0", x0, self.system.nx), self._rows("u0", u0, self._width)
         if len(x) != len(u):
             raise ShapeError(f"`x0` and `u0` must have equal numbers of rows; got {len(x)} and {len(u)}.")
-        u = self._clipped(u)
-        self._z = self.system.project(self.system.augment(x, u))
-        self._commands = [u] * (1 + -(-self._delay // self._substeps))
-        self._samples, self._began = 0, 0.0
-        self._gusts.reset(len(x))
-        return self._sensor(x)
+        return self.resume(self.system.augment(x, self._clipped(u)), u[:, None])
 
     @torch.no_grad()
     def resume(self, z: Tensor, before: Tensor, *, t0: float | Tensor = 0.0) -> Tensor:

@@ -126,8 +126,8 @@ def simulated(
     when: dict[str, Any] = {"durations": lengths, "seed": int(seed)}
     noise = {"process_noise": float(process_noise), "sensor_noise": float(sensor_noise)}
     which: dict[str, Any] = {"effects": named_effects(effects, name), **noise}
-    key = _cache.key_of(_plain({"system": name, **when, **which, "options": options}))
-    raw = _cache.load(key, cache) if use_cache else None
+    kept = _cache.path_of({"system": name, **when, **which, "options": options}, cache)
+    raw = _cache.load(kept) if use_cache else None
     if raw is None:
         try:
             raw = made.make(name, **when, making=Making(**which), **options)
@@ -136,7 +136,7 @@ def simulated(
                 raise ConfigError(f"simulated runs of {name!r}: {error}.") from error
             raise
         if use_cache:
-            _cache.store(key, raw, cache)
+            _cache.store(kept, raw)
     try:
         return assemble(raw, info, kind="simulated", gap=gap, clock=clock)
     except DataError as error:
@@ -149,12 +149,3 @@ def _key(system: SystemInfo) -> str:
     """What names the system of a plant: its name, or `module:Class` of the user's own."""
     own = isinstance(system, System) and system.name not in RECORDINGS and type(system).machine is not None
     return key_of_class(type(system)) if own else system.name  # type: ignore[arg-type]
-
-
-def _plain(value: Any) -> Any:
-    """Settings as containers that JSON can write."""
-    if isinstance(value, dict):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, str | int | float | bool) or value is None:
-        return value
-    return [_plain(v) for v in value]

@@ -20,10 +20,9 @@ from nsde_torch.evaluation.figures import Coverage, extrapolate, falls_short, wi
 from nsde_torch.evaluation.metrics import START_EVERY, evaluate, horizons_of, start_grid
 from nsde_torch.evaluation.one_step import one_step_table
 from nsde_torch.evaluation.scores import score
-from nsde_torch.models.capabilities import is_equation, is_stochastic, learns_sensors
 from nsde_torch.models.feedback_model import fit_feedback
 from nsde_torch.models.kind import model_kind
-from nsde_torch.models.model import Model, ModelSpec
+from nsde_torch.models.model import Model, ModelSpec, is_equation, is_stochastic, learns_sensors
 from nsde_torch.models.neural_sde import NeuralSDE
 from nsde_torch.models.run_directory import METRICS, save
 from nsde_torch.progress import no_bar

@@ -114,18 +114,13 @@ def _is_number(cell: str) -> bool:
     return True
 
 
-def _value(cell: str) -> float:
-    return np.nan if cell.strip() in NOTHING else float(cell)
-
-
-def _further(cell: str) -> float:
-    """Of a column that the system does not need: words (a flight mode) are missing, and the run is read."""
-    return _value(cell) if _is_number(cell.strip()) else np.nan
-
-
-def _when(cell: str) -> float:
-    date = from_date(cell)
-    return _value(cell) if date is None else date
+def _value(cell: str, *, needed: bool, date: bool) -> float:
+    """Of a column that the system does not need, words (a flight mode) are missing, and the run is read."""
+    when = from_date(cell) if date else None
+    if when is not None:
+        return when
+    nothing = cell.strip() in NOTHING or not (needed or _is_number(cell))
+    return np.nan if nothing else float(cell)
 
 
 def _explain(path: Path, names: Sequence[str], needed: Sequence[str]) -> DataError:
@@ -164,10 +159,8 @@ def _table(path: Path, names: Sequence[str], needed: Sequence[str]) -> Array:
         try:
             table = read()
         except ValueError:  # empty cells, dates and words are rare: only then the slower way through Python
-            of = {
-                k: _when if name == TIME else _value if name in needed else _further
-                for k, name in enumerate(names)
-            }
+            kinds = enumerate((name in needed, name == TIME) for name in names)
+            of = {k: partial(_value, needed=is_needed, date=is_time) for k, (is_needed, is_time) in kinds}
             table = read(quotechar='"', converters=of)
     except DataError:
         raise

@@ -101,8 +101,7 @@ class Pooled:
     slopes: int
 
 
-ATTITUDE = "attitude"
-"""Name of the group of an attitude and its body rates."""
+ATTITUDE = "attitude"  # name of the group of an attitude and its body rates
 
 
 def axis_groups(system: SystemInfo, x: Array, dt: float) -> list[tuple[str, list[str], Array, Array]]:

@@ -32,8 +32,7 @@ class Finding:
         return f"{place}{self.message} -> {self.action}"
 
 
-Report = Callable[[Finding], None]
-"""Takes what a check found."""
+Report = Callable[[Finding], None]  # takes what a check found
 
 
 @dataclass

@@ -181,8 +181,7 @@ def attitudes(stream: Stream, q: Array, t: Array) -> Array:
 # One file of a log: how its tables give the time, and what its format says of the meaning of columns.
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
-UNNAMED = "column_"
-"""What the name of a column begins with that has its number alone, from 1."""
+UNNAMED = "column_"  # what the name of a column begins with that has its number alone, from 1
 _NAMES = re.compile(r"(t|tout|time|times|timestamp|stamp|time_?stamp|secs?|seconds|elapsed|clock|tick)")
 _UNIT = re.compile(r"[\[\(_ ]\s*(s|sec|seconds|ms|msec|us|usec|µs|ns|nsec)\s*[\]\)]?$")
 _SPELT = {"sec": "s", "seconds": "s", "msec": "ms", "usec": "us", "µs": "us", "nsec": "ns"}

@@ -41,8 +41,7 @@ def status_words(at_rest: str) -> tuple[str, ...]:
     return c.CONVERGED, c.IMPROVED, *(f"{t}:{done}" for t in TROUBLES for done in (c.KEPT, at_rest))
 
 
-STATUS = status_words(c.HOVER)
-"""Those of a multirotor."""
+STATUS = status_words(c.HOVER)  # those of a multirotor
 
 KNOWN, AGE, JUMPED, COST, GAP, SOLVES = range(6)
 N_HEAD = 6

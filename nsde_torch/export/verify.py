@@ -24,8 +24,7 @@ from nsde_torch.export.exported import ExportedController
 from nsde_torch.export.step import STATUS, first_inputs
 from nsde_torch.rotation import turned
 
-TOLERANCE = 1e-4
-"""Largest difference of inputs that is put down to rounding."""
+TOLERANCE = 1e-4  # largest difference of inputs that is put down to rounding
 SINGLE_TOLERANCE = 5e-3
 """The same for a controller in C of single precision, which solves its equations in another order than Python."""
 _START = 2.0  # time of the first state along a reference [s]

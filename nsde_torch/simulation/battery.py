@@ -20,10 +20,8 @@ from nsde_torch.simulation.make import Making
 from nsde_torch.simulation.plant import Plant
 
 COLUMN = "battery_voltage"
-FULL, SWING, LOAD = 16.8, 3.0, 1.2
-"""Voltage when full, what it loses until empty, and under full command [V]."""
-HOVER, ENDURANCE = 0.39, 300.0
-"""Command and time of hovering on one charge [s]."""
+FULL, SWING, LOAD = 16.8, 3.0, 1.2  # voltage when full, what it loses until empty, and under full command [V]
+HOVER, ENDURANCE = 0.39, 300.0  # command and time of hovering on one charge [s]
 EMPTY = 0.9
 
 

@@ -57,7 +57,7 @@ def load(path: Path) -> list[RawRun] | None:
             parts = [[content[f"{part}_{i}"] for part in "txu"] for i in range(len(names))]
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         return None
-    return [RawRun(name, *columns, source="simulated") for name, columns in zip(names, parts, strict=True)]
+    return [RawRun(name, t, x, u, source="simulated") for name, (t, x, u) in zip(names, parts, strict=True)]
 
 
 def store(path: Path, runs: Sequence[RawRun]) -> None:

@@ -27,11 +27,9 @@ from nsde_torch.systems.one_dof import GRAVITY
 
 DURATIONS = (4.0,) * 20
 POLICIES = ("mixed", "random", "on_policy")
-FORCE = 25.0
-"""Force of a unit of action [N]."""
+FORCE = 25.0  # force of a unit of action [N]
 LOW, HIGH = (-1.0, -1.0, pi - 0.8, -0.8), (1.0, 1.0, pi + 0.8, 0.8)
-NEAR = (0.45, 2.5)
-"""Angle [rad] and rate [rad/s] within which the regulator takes over."""
+NEAR = (0.45, 2.5)  # angle [rad] and rate [rad/s] within which the regulator takes over
 
 
 class SwingUp:

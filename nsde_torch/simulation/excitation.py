@@ -16,14 +16,11 @@ from nsde_torch.systems import system_class
 from nsde_torch.systems.machine import Excitation, Machine
 from nsde_torch.systems.machines import machine
 
-SINES = 6
-"""Sines of each input."""
+SINES = 6  # sines of each input
 SPRING_DURATIONS = (5.0,) * 5
-REGION = ((-0.1, 0.1), (-0.1, 0.1))
-"""Where runs start: bounds of q [m] and q_dot [m/s]."""
+REGION = ((-0.1, 0.1), (-0.1, 0.1))  # where runs start: bounds of q [m] and q_dot [m/s]
 FORCES = ("zero", "multisine")
-FORCE_SIZE = 0.05
-"""Standard deviation of the multisine [N]."""
+FORCE_SIZE = 0.05  # standard deviation of the multisine [N]
 
 
 def excited_runs(
@@ -56,7 +53,15 @@ def excited_runs(
             (B, nx), to which the sums of sines are added.
     """
     plant_of, cls = machine(name), system_class(name)
-    how = _excitation(name, plant_of, inputs, noise, hertz, start)
+    how = _excitation(
+        name,
+        plant_of,
+        said=inputs is not None and noise is not None,
+        size=None if inputs is None else tuple(inputs),
+        mean=None if inputs is None else (),
+        hertz=None if hertz is None else tuple(hertz),
+        start=None if start is None else tuple(map(tuple, start)),
+    )
     if not size > 0:
         raise ConfigError(f"`size` must be a factor above 0; got {size!r}.")
     feedback = None if controller is None else function_by_name(controller, kind="controller")
@@ -91,31 +96,17 @@ def excited_runs(
     return record(plant, starts, control, durations=lengths, prefix="run")
 
 
-def _excitation(
-    name: str,
-    plant_of: Machine,
-    inputs: Sequence[float] | None,
-    noise: Sequence[float] | None,
-    hertz: Sequence[float] | None,
-    start: Sequence[Sequence[float]] | None,
-) -> Excitation:
-    """How a machine is excited, by its class or by what is said."""
+def _excitation(name: str, plant_of: Machine, *, said: bool, **changes: Any) -> Excitation:
+    """How a machine is excited, by its class, with what is changed of it; or by what is `said`."""
     how, cls = plant_of.excitation, system_class(name)
-    if how is None and (inputs is None or noise is None):
+    if how is None and not said:
         units = ", ".join(f"{n} [{u}]" for n, u in zip(cls.input_names, cls.input_units, strict=True))
         raise ConfigError(
             f"the class of {name!r} says no `machine`, so say how its runs are made: options.inputs=[...], the "
             f"standard deviation of each input ({units}), and options.noise=[...], that of the sensor noise of each of "
             f"{', '.join(cls.error_names)}. Or write `machine = Machine(..., excitation=Excitation(...))` into it."
         )
-    how = how or Excitation(())
-    changes: dict[str, Any] = {
-        "size": None if inputs is None else tuple(inputs),
-        "mean": None if inputs is None else (),
-        "hertz": None if hertz is None else tuple(hertz),
-        "start": None if start is None else tuple(map(tuple, start)),
-    }
-    return replace(how, **{k: v for k, v in changes.items() if v is not None})
+    return replace(how or Excitation(()), **{k: v for k, v in changes.items() if v is not None})
 
 
 def _starts(how: Excitation, n: int, nx: int, rng: np.random.Generator, name: str) -> np.ndarray:

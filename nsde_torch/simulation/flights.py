@@ -25,13 +25,11 @@ from nsde_torch.simulation.pilot import Path, Pilot, Sticks, figures
 from nsde_torch.systems import Multirotor
 from nsde_torch.systems.machines import make_plant_system
 
-DURATIONS = (73.0, 66.0, 64.0)
-"""Lengths of the flights of the supplement [s]."""
+DURATIONS = (73.0, 66.0, 64.0)  # lengths of the flights of the supplement [s]
 RESPONSE = (1.07, 1.06, 1.36, 1.36, 1.27, 1.33, 1.02, 1.03)
 """Figures flown over figures wanted, measured on the default plants (the loops overshoot)."""
 VARIANTS = 48
-NEAR = 0.07
-"""Largest relative departure from the figures with which a flight is kept at once."""
+NEAR = 0.07  # largest relative departure from the figures with which a flight is kept at once
 ROUNDS = 2
 ROOM, FLOOR = 4.0, 0.2
 """Flights stay within this distance of the middle of the room and above this height [m]."""
@@ -41,12 +39,9 @@ ROOM, FLOOR = 4.0, 0.2
 class Flown:
     """Flights, time first; rows of a batch in between where there are several."""
 
-    x: Array
-    """Measured states (n, ..., 13)."""
-    u: Array
-    """Commands given at them (n, ..., nu)."""
-    voltage: Array
-    """Of the battery (n, ..., 1), or (n, ..., 0) where none is logged."""
+    x: Array  # measured states (n, ..., 13)
+    u: Array  # commands given at them (n, ..., nu)
+    voltage: Array  # of the battery (n, ..., 1), or (n, ..., 0) where none is logged
     z: Array
     """True states with the memory of the effects (n, ..., nz), or (n, ..., 0) where they are not kept."""
 

@@ -33,15 +33,11 @@ TARGETS = (1.71, 2.7, 18.0, 23.0, 13.0, 23.0, 24.0, 80.0)
 """95 % quantile and maximum of speed [m/s] and of |roll|, |pitch|, |yaw| [deg] (supplement, Figure 15)."""
 
 SLOW_HZ, QUICK_HZ, TREMOR_HZ = 0.15, 0.5, 1.0
-TREMOR = 0.15
-"""Size of the quickest corrections relative to the quick ones."""
-TRIM_S = 4.0
-"""Time in which the pilot lifts off to, and comes down from, the height of the flight [s]."""
-LOW, HEIGHT = 0.4, 1.4
-"""Heights at both ends and of the flight [m]."""
+TREMOR = 0.15  # size of the quickest corrections relative to the quick ones
+TRIM_S = 4.0  # time in which the pilot lifts off to, and comes down from, the height of the flight [s]
+LOW, HEIGHT = 0.4, 1.4  # heights at both ends and of the flight [m]
 SHORTEST_S = 2.0
-DRAG = 0.15
-"""Of the machines, along x and y of the body [1/s]."""
+DRAG = 0.15  # of the machines, along x and y of the body [1/s]
 
 
 @dataclass(frozen=True)

@@ -30,8 +30,7 @@ from nsde_torch.simulation.make import Making, noise_generator
 from nsde_torch.simulation.options import ReplayOptions
 from nsde_torch.simulation.plant import Plant
 
-GAP_ROWS = 10
-"""Rows that lie between two interventions of one run, at least; a reader splits it there."""
+GAP_ROWS = 10  # rows that lie between two interventions of one run, at least; a reader splits it there
 
 
 @dataclass(frozen=True)

@@ -26,8 +26,7 @@ if TYPE_CHECKING:
     from nsde_torch.systems.base import System
 
 _ANGLES = ("rad", "deg")
-SPEEDS = ("m/s", "rad/s", "deg/s")
-"""Units by which a state is known for a velocity."""
+SPEEDS = ("m/s", "rad/s", "deg/s")  # units by which a state is known for a velocity
 
 
 @cache

@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     from nsde_torch.systems.base import System
 
 _MOST = 0.95  # of the way to its bound that a number which is drawn may take a parameter
-OVER_MASS = (Port.FORCE, Port.BODY_FORCE)
-"""Ports of forces over the mass."""
+OVER_MASS = (Port.FORCE, Port.BODY_FORCE)  # ports of forces over the mass
 
 
 @contextmanager

@@ -373,10 +373,8 @@ def rate_misread(system: SystemInfo, run: RawRun, i: int, j: int, mapping: LogMa
     return [one for one in good if one.left <= _ALIKE * good[0].left]
 
 
-LEAN = "lean and acceleration"
-"""Name of the check of gravity, where the others are of kinematics alone."""
-SUSPECT = "columns"
-"""Kind of the finding of a check that speaks against the columns and does not refuse them."""
+LEAN = "lean and acceleration"  # name of the check of gravity, where the others are of kinematics alone
+SUSPECT = "columns"  # kind of the finding of a check that speaks against the columns and does not refuse them
 ATTITUDE, VELOCITY = "attitude and rates", "position and velocity"
 """Names of the checks of the vectors of a vehicle."""
 _MOST = 60_000  # rows

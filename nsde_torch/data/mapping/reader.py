@@ -29,8 +29,7 @@ from nsde_torch.data.system_info import SystemInfo
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.lookup import function_by_name
 
-MAPPING_FILE = "mapping.yaml"
-"""Name of the mapping beside the logs, which is read where none is given."""
+MAPPING_FILE = "mapping.yaml"  # name of the mapping beside the logs, which is read where none is given
 
 
 @dataclass(frozen=True)

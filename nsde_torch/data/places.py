@@ -20,10 +20,7 @@ _HOLE = 1 << 24  # bytes of zeros at the end of a file; those of a preallocated 
 
 
 def log_place(path: str | Path, expected: str) -> Path:
-    """A file or folder of logs (links are followed), which is there, can be read, is not empty, and ends with no zeros.
-
-    A DataError says what is wrong, and that this is what was `expected`.
-    """
+    """A file or folder of logs, which is there, can be read, is not empty and ends with no zeros; else a DataError."""
     path = Path(path)
     try:
         found = path.stat()

@@ -60,10 +60,7 @@ def quick_indices() -> Iterator[None]:
 
 
 def compiled(step: ExportedStep, *, say: Callable[[str], None]) -> dict[str, bytes]:
-    """Members of a package with all stages; `say` is called with a line when something takes long.
-
-    An ExportError where there is no compiler, or it refuses.
-    """
+    """Members of a package with all stages, saying what takes long; an ExportError where no compiler does it."""
     from torch._inductor.package import package_aoti
 
     named = os.environ.get("CXX")

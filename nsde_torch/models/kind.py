@@ -122,10 +122,7 @@ class ModelKind(ABC):
 
 
 def model_kind(name: str) -> type[ModelKind]:
-    """A kind of model: a key of `MODELS`, or `package.module:Class` of the user's own.
-
-    A ConfigError where the name is unknown (it lists the choices), or is none of a ModelKind.
-    """
+    """A kind of model: a key of `MODELS`, or `module:Class` of the user's own; a ConfigError lists the choices."""
     if name not in MODELS and ":" not in name:
         raise ConfigError(f"`model.kind` must be one of {', '.join(MODELS)}; got {name!r}.")
     home = MODELS[name].home if name in MODELS else name

@@ -193,10 +193,7 @@ class NeuralSDE(Model):
         return join_columns((s.inner(own, later), d))
 
     def diffusion(self, t: float | Tensor, z: Tensor, u: Tensor) -> Tensor:
-        """Standard deviation density (N, nz) [state unit per root second]; memory has none.
-
-        Of the state alone (N, nx) it is that of the state.
-        """
+        """Standard deviation density (N, nz), or of states alone (N, nx) [unit per root second]; memory has none."""
         s = self.system
         self._check_width(z)
         if z.shape[1] < self.nz:

@@ -39,10 +39,7 @@ _DAMAGE = (yaml.YAMLError, SafetensorError, OSError, LookupError, TypeError, Val
 
 
 def save(model: Model, run_dir: str | Path, *, about: Mapping[str, Any] | None = None) -> None:
-    """Write a model into a folder, made if need be.
-
-    `about` are further plain values for `config.yaml` (the whole configuration of the command).
-    """
+    """Write a model into a folder, made if need be; `about` are further plain values for `config.yaml`."""
     folder = Path(run_dir)
     folder.mkdir(parents=True, exist_ok=True)
     text = yaml.safe_dump({"format": _FORMAT, "spec": model.spec.as_dict(), **(about or {})}, sort_keys=False)

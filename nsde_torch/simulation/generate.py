@@ -216,10 +216,7 @@ def _with_parameters(
     standing: Collection[str],
     system: str,
 ) -> tuple[dict[str, Numbers], Numbers]:
-    """Effects with their values joined, and values of the declared physics.
-
-    An effect of the user's own is known by its name in `parameters`.
-    """
+    """Effects (the user's own by their names) with their values joined, and values of the declared physics."""
     own = system_class(system)
     declared: Numbers = {}
     out = {own.effect_key(key): dict(values) for key, values in asked.items()}

@@ -110,10 +110,7 @@ class Gusts:
 @final
 @dataclass(eq=False)
 class Sensor:
-    """Measurement: state plus white noise, a quaternion turned by a small random rotation.
-
-    A ConfigError refuses a wrong number of channels, or a negative value.
-    """
+    """State plus white noise, a quaternion turned by a small random rotation; a ConfigError refuses wrong channels."""
 
     system: System
     std: tuple[float, ...]

@@ -17,10 +17,7 @@ SYSTEMS: dict[str, type[System]] = {
 
 
 def system_class(name: str) -> type[System]:
-    """Class of a system: a key of `SYSTEMS`, or `package.module:Class` of the user's own.
-
-    A ConfigError where the name is unknown (it lists the choices), or is none of a System.
-    """
+    """Class of a system: a key of `SYSTEMS`, or `module:Class` of the user's own; a ConfigError lists the choices."""
     return class_by_name(name, SYSTEMS, System, kind="system", home="nsde_torch.systems")
 
 

@@ -55,10 +55,7 @@ class Distilled:
 def functions_of(
     model: NeuralSDE, at: Optimum, *, among: Sequence[Mapping[str, Any]] | None = None
 ) -> Functions:
-    """What the likelihood finds beside the optimum of the physics.
-
-    Functions are chosen `among` groups (`Distilled.chosen`), or among all that there are.
-    """
+    """What the likelihood finds beside the optimum, among all functions or these groups (`Distilled.chosen`)."""
     space = at.of.space
     ports = [k for k, (port, _) in enumerate(space.disturbances) if port in model.residual_ports]
     return learned(at, seen_by_networks(at.of.vector.system), ports, among=_groups(among, space.disturbances))
@@ -114,8 +111,6 @@ def _distil(
     network, names = model.residuals[port.value], model.system.network_names
     assert isinstance(network, MLP)
     first, last = network.layers[0], network.layers[-1]
-    assert isinstance(first, nn.Linear)
-    assert isinstance(last, nn.Linear)
     unseen = [k for k, name in enumerate(names) if name not in own]
     with torch.no_grad():
         first.weight[:, unseen] = 0.0
@@ -167,7 +162,6 @@ def _fit(network: MLP, y: Tensor, target: Tensor, weight: Tensor, rows: Sequence
 def _redrawn(network: MLP, generator: torch.Generator) -> None:
     """Other first weights of the same size; inputs that a network does not see stay unseen."""
     for layer in network.layers:
-        assert isinstance(layer, nn.Linear)
         bound = layer.in_features**-0.5
         drawn = torch.empty_like(layer.weight).uniform_(-bound, bound, generator=generator)
         seen = layer.weight != 0 if layer is network.layers[0] else torch.tensor(True)
@@ -177,10 +171,7 @@ def _redrawn(network: MLP, generator: torch.Generator) -> None:
 def _least_squares(
     network: MLP, y: Tensor, target: Tensor, weight: Tensor, rows: Sequence[int], steps: int
 ) -> tuple[float, int]:
-    """Least squares of some outputs by Levenberg and Marquardt, in double precision; what is left, and steps taken.
-
-    A law may be known to a thousandth.
-    """
+    """Least squares of some outputs by Levenberg and Marquardt, in double precision; what is left, and steps taken."""
     seen = (y != 0).any(0)
     y, target, root = y.double()[:, seen], target.double()[:, rows], weight.double().sqrt()[:, None]
     names, tables = zip(*((name, table.detach()) for name, table in network.named_parameters()), strict=True)

@@ -42,19 +42,13 @@ class Pairs:
 
 
 def nll(model: GaussianEnsemble, inputs: Tensor, changes: Tensor) -> Tensor:
-    """Negative log-likelihood of each member (members,), nats per channel.
-
-    Of standardised inputs, each member its own (members, N, n_in), and changes (members, N, n_change).
-    """
+    """Negative log-likelihood (members,), nats per channel, of inputs (members, N, n_in) and changes, standardised."""
     mean, v = model.standard(inputs)
     return 0.5 * (v + (changes - mean).square() * torch.exp(-v) + math.log(2 * math.pi)).mean((1, 2))
 
 
 class EnsembleLoop(Loop):
-    """One optimisation of one ensemble.
-
-    `patience` is stretched as `steps` is against `options.steps`.
-    """
+    """One optimisation of one ensemble; `patience` is stretched as `steps` is against `options.steps`."""
 
     model: GaussianEnsemble
     differ = "runs, seed, trainer or model"

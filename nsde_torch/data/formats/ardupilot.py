@@ -17,14 +17,6 @@ from numpy.typing import NDArray
 from nsde_torch.data.streams import Stream, StreamLog, ordered, parsing
 from nsde_torch.errors import DataError
 
-_TYPES = {
-    "a": ("<i2", 32), "b": ("i1", 1), "B": ("u1", 1), "h": ("<i2", 1), "H": ("<u2", 1), "i": ("<i4", 1),
-    "I": ("<u4", 1),
-    "f": ("<f4", 1), "g": ("<f2", 1), "n": ("S4", 1), "N": ("S16", 1), "Z": ("S64", 1), "d": ("<f8", 1),
-    "c": ("<i2", 1), "C": ("<u2", 1), "e": ("<i4", 1), "E": ("<u4", 1), "L": ("<i4", 1), "M": ("u1", 1),
-    "q": ("<i8", 1), "Q": ("<u8", 1),
-}  # fmt: skip
-_TIMES = {"c": 1e-2, "C": 1e-2, "e": 1e-2, "E": 1e-2, "L": 1e-7}
 _ANGLES = {"degheading": "deg", "m/s/s": "m/s2", "µs": "us"}
 _SYSTEM = {
     "FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG", "MODE", "EV", "ERR", "CMD", "FILE", "DU32", "ISBD", "ISBH",
@@ -56,6 +48,8 @@ def open_ardupilot(path: Path) -> StreamLog:
 
 
 def _streams(log: Any, kind: int) -> list[Stream]:
+    from pymavlink.DFReader import FORMAT_TO_STRUCT
+
     form = log.formats[kind]
     if form.name in _SYSTEM or "TimeUS" not in form.columns:
         return []
@@ -68,7 +62,7 @@ def _streams(log: Any, kind: int) -> list[Stream]:
     for place, (column, letter) in enumerate(zip(form.columns, form.format, strict=False)):
         if letter in "anNZ":
             continue
-        fields[column] = table[f"f{place}"].astype(np.float64) * _TIMES.get(letter, 1.0)
+        fields[column] = table[f"f{place}"].astype(np.float64) * (FORMAT_TO_STRUCT[letter][1] or 1.0)
         if place < len(told) and told[place] not in ("", "UNKNOWN"):
             units[column] = _ANGLES.get(told[place], told[place])
     t = fields.pop("TimeUS") * 1e-6
@@ -85,13 +79,16 @@ def _streams(log: Any, kind: int) -> list[Stream]:
 
 def _records(log: Any, kind: int) -> NDArray[Any] | None:
     """All messages of a kind as records; None where there are none."""
+    from pymavlink.DFReader import FORMAT_TO_STRUCT
+
     form = log.formats[kind]
     offsets = np.asarray(log.offsets[kind], dtype=np.int64)
     offsets = offsets[offsets + form.len <= log.data_len]
-    if not len(offsets) or any(letter not in _TYPES for letter in form.format):
+    if not len(offsets) or any(letter not in FORMAT_TO_STRUCT for letter in form.format):
         return None
-    parts = [_TYPES[letter] for letter in form.format]
-    kinds = np.dtype([(f"f{k}", one, (n,)) if n > 1 else (f"f{k}", one) for k, (one, n) in enumerate(parts)])
+    codes = [str(FORMAT_TO_STRUCT[letter][0]) for letter in form.format]
+    own = (f"S{code[:-1]}" if code.endswith("s") else f"<{code}" for code in codes)
+    kinds = np.dtype([(f"f{k}", one) for k, one in enumerate(own)])
     if kinds.itemsize != form.len - _HEADER:
         return None
     data = np.frombuffer(log.data_map, dtype=np.uint8)

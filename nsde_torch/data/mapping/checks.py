@@ -14,7 +14,7 @@ from math import pi
 import numpy as np
 
 from nsde_torch.arrays import Array
-from nsde_torch.data.mapping.mapping import LogMapping
+from nsde_torch.data.mapping.mapping import ColumnEntry, LogMapping
 from nsde_torch.data.quaternion import attitude_between, conjugate, increments, rotate
 from nsde_torch.data.raw import RawRun
 from nsde_torch.data.streams import SECONDS
@@ -454,7 +454,7 @@ def checks(system: SystemInfo, run: RawRun, mapping: LogMapping | None = None) -
     q, rates = system.quaternion, rate_columns(system)
     attitude = None if q is None else run.x[:, q]
     if q is not None and attitude is not None and rates is not None:
-        out.append(_attitude(run.t, attitude, run.x[:, rates], _logged(system.state_names[q], mapping)))
+        out.append(_attitude(run.t, attitude, run.x[:, rates], system.state_names[q], mapping))
     for group, (i, j) in derivative_columns(system).items():
         if not np.isfinite(run.x[:, j]).any():
             continue
@@ -494,35 +494,13 @@ def _unwrapped(system: SystemInfo, x: Array) -> Array:
     return x
 
 
-@dataclass(frozen=True)
-class _Logged:
-    """How a mapping says that the attitude was logged."""
-
-    order: str = "wxyz"
-    turns: str = "body to world"
-    ned: bool = False
-    frd: bool = False
-    angles: bool = False
-
-    def read(self, q: Array, order: str, turns: str) -> Array:
-        """The attitude, had its columns another order and another direction."""
-        if (order, turns) == (self.order, self.turns):
-            return q
-        raw = attitude_between(q, ned=self.ned, frd=self.frd)  # twice is once too often by a sign at most
-        raw = conjugate(raw) if self.turns == "world to body" else raw
-        raw = raw[:, [1, 2, 3, 0]] if self.order == "xyzw" else raw
-        return attitude_between(read_attitude(raw, AttitudeWay(order, turns)), ned=self.ned, frd=self.frd)
-
-
-def _logged(names: Sequence[str], mapping: LogMapping) -> _Logged:
-    for name, entry in mapping.columns.items():
-        if name in (names[0].partition("_")[0], *names):
-            turns, angles = entry.turns or "body to world", len(entry.source) == 3
-            return _Logged(entry.order or "wxyz", turns, *mapping.axes_of(entry), angles)
-    return _Logged()
-
-
-def _attitude(t: Array, q: Array, w: Array, logged: _Logged) -> LogCheck:
+def _attitude(t: Array, q: Array, w: Array, names: Sequence[str], mapping: LogMapping) -> LogCheck:
+    called = (names[0].partition("_")[0], *names)
+    entry = next((e for name, e in mapping.columns.items() if name in called), ColumnEntry(()))
+    logged, (ned, frd) = AttitudeWay(entry.order or "wxyz", entry.turns or TURNS[0]), mapping.axes_of(entry)
+    raw = attitude_between(q, ned=ned, frd=frd)  # twice is once too often by a sign at most
+    raw = conjugate(raw) if logged.turns == "world to body" else raw
+    raw = raw[:, [1, 2, 3, 0]] if logged.order == "xyzw" else raw
     own = attitude_left(t, q, w, AttitudeWay())
     if not np.isfinite(own):
         return LogCheck(ATTITUDE, None, "too little turning to compare the attitude with the rates.")
@@ -531,8 +509,14 @@ def _attitude(t: Array, q: Array, w: Array, logged: _Logged) -> LogCheck:
         return LogCheck(ATTITUDE, True, f"{told}.")
     best, words = own, ""
     sizes = ((1.0, ""), (np.pi / 180.0, "deg/s"), (180.0 / np.pi, "rad/s"))
-    for order, turns in product((logged.order,) if logged.angles else ("wxyz", "xyzw"), TURNS):
-        other = logged.read(q, order, turns)
+    orders = (logged.order,) if len(entry.source) == 3 else ("wxyz", "xyzw")
+    for order, turns in product(orders, TURNS):
+        other = q
+        if (order, turns) != (
+            logged.order,
+            logged.turns,
+        ):  # had its columns another order and another direction
+            other = attitude_between(read_attitude(raw, AttitudeWay(order, turns)), ned=ned, frd=frd)
         for (factor, unit), sign in product(sizes, (1.0, -1.0)):
             left = attitude_left(t, other, factor * w, AttitudeWay(signs=(1.0, sign, sign)))
             if left < best:
@@ -545,7 +529,7 @@ def _attitude(t: Array, q: Array, w: Array, logged: _Logged) -> LogCheck:
     return LogCheck(ATTITUDE, None, text, remedy)
 
 
-def _attitude_words(logged: _Logged, order: str, turns: str, unit: str, sign: float) -> str:
+def _attitude_words(logged: AttitudeWay, order: str, turns: str, unit: str, sign: float) -> str:
     words = []
     if order != logged.order:
         place = "first" if order == "wxyz" else "last"

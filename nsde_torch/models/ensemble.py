@@ -30,6 +30,8 @@ from torch import Tensor, nn
 from nsde_torch.errors import ConfigError
 from nsde_torch.models.model import Capabilities, Model, ModelSpec, normal
 from nsde_torch.models.networks import Standardise, at_zero
+from nsde_torch.models.options import EnsembleOptions
+from nsde_torch.options import check
 from nsde_torch.rotation import matrix, rotation_between, turned
 from nsde_torch.sde.checks import check_finite
 from nsde_torch.systems import System
@@ -140,14 +142,7 @@ class EnsembleSpec(ModelSpec):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.propagation not in PROPAGATIONS:
-            raise ConfigError(
-                f"`model.propagation` must be {' or '.join(PROPAGATIONS)}; got {self.propagation!r}."
-            )
-        if self.members < 1 or self.batch < 1:
-            raise ConfigError(
-                f"`model.members` and `model.batch` must be at least 1; got {self.members} and {self.batch}."
-            )
+        check(EnsembleOptions, {k: v for k, v in vars(self).items() if k != "kind"}, "model.")
 
 
 class GaussianEnsemble(Model):

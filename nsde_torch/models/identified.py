@@ -16,6 +16,8 @@ from torch import Tensor
 from nsde_torch.errors import ConfigError, ShapeError
 from nsde_torch.models.model import Capabilities, Model, ModelSpec
 from nsde_torch.models.networks import InputFilter
+from nsde_torch.models.options import SysidOptions
+from nsde_torch.options import check
 from nsde_torch.sde import Calculus, make_step, rollout
 from nsde_torch.systems.values import Values
 
@@ -37,10 +39,7 @@ class SysidSpec(ModelSpec):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.method not in METHODS:
-            raise ConfigError(f"`model.method` must be {' or '.join(METHODS)}; got {self.method!r}.")
-        if self.max_iterations < 1:
-            raise ConfigError(f"`model.max_iterations` must be at least 1; got {self.max_iterations}.")
+        check(SysidOptions, {k: v for k, v in vars(self).items() if k != "kind"}, "model.")
 
 
 @final

@@ -64,7 +64,7 @@ def test_memory_of_effects_starts_stationary() -> None:
 
 
 def test_what_cannot_be_is_refused() -> None:
-    with pytest.raises(ConfigError, match=r"`model\.method` must be weak or differences"):
+    with pytest.raises(ConfigError, match=r"`model\.method` must be weak"):
         SysidSpec("cartpole", dt=0.02, horizon=30, method="magic")
     with pytest.raises(ConfigError, match=r"`model\.max_iterations`"):
         SysidSpec("cartpole", dt=0.02, horizon=30, max_iterations=0)

@@ -8,7 +8,7 @@ from typing import Any
 
 from nsde_torch.errors import ConfigError
 from nsde_torch.recording.faults import RecordingOptions
-from nsde_torch.simulation.options import ReplayOptions
+from nsde_torch.simulation.options import Replay
 
 from ..hydra_command import Config, HydraCommand, Job
 from ..keys import group, key, mirrors
@@ -46,7 +46,7 @@ class RecordingConfig:
     """Faults of the recording chain."""
 
 
-@mirrors(ReplayOptions)
+@mirrors(Replay)
 class ReplayConfig:
     """Interventions, with pilot=replay."""
 
@@ -85,7 +85,6 @@ COMMAND = HydraCommand(name="simulate", schema=SimulateConfig, groups={"system":
 def run(config: Config, job: Job) -> None:
     from nsde_torch.recording.chain import Recording
     from nsde_torch.simulation.generate import check_free, simulate, truth_path, write
-    from nsde_torch.simulation.replay import Replay
 
     from .. import build
 

@@ -18,8 +18,9 @@ from nsde_torch.effects import Effect, Parameter, effect_class
 from nsde_torch.errors import ConfigError, NonFiniteError
 from nsde_torch.recording.chain import Recording
 from nsde_torch.simulation.make import Making, check_numbers
+from nsde_torch.simulation.options import Replay
 from nsde_torch.simulation.registry import RECORDINGS, RunRecorder, planned, recorder
-from nsde_torch.simulation.replay import Replay, joined
+from nsde_torch.simulation.replay import joined
 from nsde_torch.systems import System, make_system, system_class
 from nsde_torch.systems.machines import Effects, machine, make_plant_system, named_effects
 from nsde_torch.systems.options import key_of_class
@@ -44,8 +45,24 @@ class Simulation:
     def save(
         self, folder: str | Path, *, truth: str | Path | None = None, overwrite: bool = False
     ) -> list[Path]:
-        """Write the runs as CSV files, and the truth beside the folder (see `write`)."""
-        return write(self, folder, truth=truth, overwrite=overwrite)
+        """Write the data set into a folder, made where it is missing, and its truth beside it; returns all these files.
+
+        The truth lies outside the folder; None: in its name with `.truth.json`. With `overwrite`, the CSV files of a
+        folder that holds something are replaced, and the truth; else a ConfigError refuses that.
+        """
+        folder, beside = Path(folder), truth_path(folder, truth)
+        check_free(folder, beside, overwrite=overwrite)
+        folder.mkdir(parents=True, exist_ok=True)
+        for old in folder.glob("*.csv"):
+            old.unlink()
+        files = [_write_run(self, run, folder / f"{run.name}.csv") for run in self.runs]
+        beside.parent.mkdir(parents=True, exist_ok=True)
+        content = {**self.truth, "files": [file.name for file in files]}
+        beside.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        return [*files, beside]
+
+
+write = Simulation.save  # a function of what was made
 
 
 def simulate(
@@ -310,26 +327,6 @@ def _undeclared(
 def _plain(values: list[float]) -> float | list[float]:
     rounded = [float(f"{v:.7g}") for v in values]
     return rounded[0] if len(rounded) == 1 else rounded
-
-
-def write(
-    made: Simulation, folder: str | Path, *, truth: str | Path | None = None, overwrite: bool = False
-) -> list[Path]:
-    """Write a data set into a folder, made where it is missing, and its truth beside it; the CSV files and the truth.
-
-    The truth lies outside the folder; None: in its name with `.truth.json`. With `overwrite`, the CSV files of a folder
-    that holds something are replaced, and the truth; else a ConfigError refuses that.
-    """
-    folder, beside = Path(folder), truth_path(folder, truth)
-    check_free(folder, beside, overwrite=overwrite)
-    folder.mkdir(parents=True, exist_ok=True)
-    for old in folder.glob("*.csv"):
-        old.unlink()
-    files = [_write_run(made, run, folder / f"{run.name}.csv") for run in made.runs]
-    beside.parent.mkdir(parents=True, exist_ok=True)
-    content = {**made.truth, "files": [file.name for file in files]}
-    beside.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    return [*files, beside]
 
 
 def truth_path(folder: str | Path, truth: str | Path | None = None) -> Path:

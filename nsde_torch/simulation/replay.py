@@ -13,8 +13,6 @@ run; the gaps between them split it into segments.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -27,24 +25,10 @@ from nsde_torch.errors import ConfigError
 from nsde_torch.simulation.battery import Battery, battery_column, used_of
 from nsde_torch.simulation.flights import Flown, chosen_flights
 from nsde_torch.simulation.make import Making, noise_generator
-from nsde_torch.simulation.options import ReplayOptions
+from nsde_torch.simulation.options import Replay
 from nsde_torch.simulation.plant import Plant
 
 GAP_ROWS = 10  # rows that lie between two interventions of one run, at least; a reader splits it there
-
-
-@dataclass(frozen=True)
-class Replay(ReplayOptions):
-    """Interventions that are made of flights."""
-
-    def rows(self, dt: float) -> tuple[int, int]:
-        """Samples before the start, and of the replay; a ConfigError where a number is out of range."""
-        if isinstance(self.starts, bool) or self.starts < 1:
-            raise ConfigError(f"`replay.starts` must be a whole number of 1 or more; got {self.starts!r}.")
-        for name, value in (("duration", self.duration), ("before", self.before)):
-            if not (isfinite(value) and round(value / dt) >= 1):
-                raise ConfigError(f"`replay.{name}` must be a sample of {dt:g} s or longer; got {value!r}.")
-        return round(self.before / dt), round(self.duration / dt)
 
 
 def replayed_flights(

@@ -1,7 +1,6 @@
 """Run directories: `config.yaml` says what the model is, `model.safetensors` holds its numbers. No pickle."""
 
 import json
-import os
 import shlex
 from collections.abc import Mapping
 from pathlib import Path
@@ -9,13 +8,13 @@ from typing import Any
 
 import torch
 import yaml
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import load_file, save_file
+from safetensors import SafetensorError
 
 from nsde_torch.errors import CheckpointError, ConfigError, NsdeError
 from nsde_torch.models.kind import model_kind
 from nsde_torch.models.model import Model, ModelSpec
 from nsde_torch.systems.values import Values
+from nsde_torch.whole_files import read_tensors, write_tensors
 
 
 def make_spec(values: Mapping[str, Any]) -> ModelSpec:
@@ -44,10 +43,7 @@ def save(model: Model, run_dir: str | Path, *, about: Mapping[str, Any] | None =
     folder.mkdir(parents=True, exist_ok=True)
     text = yaml.safe_dump({"format": _FORMAT, "spec": model.spec.as_dict(), **(about or {})}, sort_keys=False)
     (folder / CONFIG).write_text(text)
-    tensors = {k: v.detach().cpu().contiguous().clone() for k, v in model.state_dict().items()}
-    temporary = folder / (WEIGHTS + ".partial")
-    save_file(tensors, str(temporary), metadata={"format": _FORMAT})
-    os.replace(temporary, folder / WEIGHTS)
+    write_tensors(folder / WEIGHTS, model.state_dict(), {"format": _FORMAT})
 
 
 def load(run_dir: str | Path, *, device: str | torch.device = "cpu") -> Model:
@@ -79,10 +75,9 @@ def load(run_dir: str | Path, *, device: str | torch.device = "cpu") -> Model:
         if not isinstance(config["spec"], dict):
             raise CheckpointError(f"{folder / CONFIG} holds no specification of a model. Train again.")
         spec = make_spec(config["spec"])
-        tensors = load_file(str(folder / WEIGHTS))
-        with safe_open(str(folder / WEIGHTS), framework="pt") as opened:
-            if (opened.metadata() or {}).get("format") != _FORMAT:
-                raise CheckpointError(f"{folder / WEIGHTS} is not of the format {_FORMAT}.")
+        tensors, header = read_tensors(folder / WEIGHTS)
+        if header.get("format") != _FORMAT:
+            raise CheckpointError(f"{folder / WEIGHTS} is not of the format {_FORMAT}.")
     except ConfigError as error:
         raise CheckpointError(f"{folder / CONFIG}: {error}") from error
     except _DAMAGE as error:

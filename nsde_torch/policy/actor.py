@@ -6,18 +6,17 @@ Its file holds tensors and, in the header, plain words (safetensors): a file is 
 """
 
 import json
-import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, final
 
 import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import load_file, save_file
+from safetensors import SafetensorError
 from torch import Tensor, nn
 
 from nsde_torch.errors import CheckpointError
+from nsde_torch.whole_files import read_tensors, write_tensors
 
 POLICY = "policy.safetensors"
 _FORMAT = "nsde_torch/policy/1"
@@ -48,26 +47,8 @@ class Actor(nn.Module):
         """Write `policy.safetensors` into a folder; returns its path."""
         path = Path(folder) / POLICY
         about = {"system": self.system, "hidden": list(self.hidden), "n_actions": len(self.log_std)}
-        write_tensors(path, self.state_dict(), format=_FORMAT, about=about)
+        write_tensors(path, self.state_dict(), {"format": _FORMAT, "about": json.dumps(about)})
         return path
-
-
-def write_tensors(
-    path: Path, tensors: Mapping[str, Tensor], *, format: str, about: Mapping[str, Any]
-) -> None:
-    """Write tensors with plain values in the header, in place of the file that is there."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    whole = {k: v.detach().cpu().contiguous().clone() for k, v in tensors.items()}
-    temporary = path.with_suffix(".partial")
-    save_file(whole, str(temporary), metadata={"format": format, "about": json.dumps(about)})
-    os.replace(temporary, path)
-
-
-def read_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
-    """Tensors and header of a file that `write_tensors` wrote."""
-    with safe_open(str(path), framework="pt") as opened:
-        metadata = opened.metadata() or {}
-    return load_file(str(path)), metadata
 
 
 def load_policy(folder: str | Path) -> Actor:

@@ -23,9 +23,10 @@ from stable_baselines3.common.vec_env import VecEnv
 from torch import Tensor, nn
 
 from nsde_torch.errors import CheckpointError, NonFiniteError
-from nsde_torch.policy.actor import Actor, read_tensors, write_tensors
+from nsde_torch.policy.actor import Actor
 from nsde_torch.policy.environment import BatchEnvironment
 from nsde_torch.policy.options import PolicyOptions
+from nsde_torch.whole_files import read_tensors, write_tensors
 
 _FORMAT = "nsde_torch/ppo/1"
 _NEVER = 10**9  # updates between stable-baselines3's own tables
@@ -167,7 +168,7 @@ class Learner:
         for index, moments in self._ppo.policy.optimizer.state_dict()["state"].items():
             tensors |= {f"adam.{index}.{name}": torch.as_tensor(value) for name, value in moments.items()}
         header = {"interactions": self.interactions, "updates": self._ppo._n_updates, **about}
-        write_tensors(path, tensors, format=_FORMAT, about=header)
+        write_tensors(path, tensors, {"format": _FORMAT, "about": json.dumps(header)})
 
     def restore(self, path: Path) -> dict[str, Any]:
         """Go on from a checkpoint that `save` wrote; returns what was saved beside the tensors.

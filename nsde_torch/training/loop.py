@@ -8,15 +8,13 @@ moment; they are written whole or not at all.
 import copy
 import json
 import logging
-import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
 import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import load_file, save_file
+from safetensors import SafetensorError
 from torch import Tensor, nn
 from tqdm.auto import tqdm
 
@@ -24,6 +22,7 @@ from nsde_torch.errors import CheckpointError, NonFiniteError
 from nsde_torch.progress import no_bar
 from nsde_torch.training.options import TrainerOptions
 from nsde_torch.training.task import Progress
+from nsde_torch.whole_files import read_tensors, write_tensors
 
 _AVERAGE = 0.98
 _LOG = logging.getLogger(__name__)
@@ -233,11 +232,7 @@ class Loop(ABC):
 
 def write_checkpoint(path: Path, tensors: Mapping[str, Tensor], about: Mapping[str, Any]) -> None:
     """Write `path`.safetensors; `about`, JSON-able, travels in its header, so that both are of one moment."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_suffix(".partial")
-    kept = {k: v.detach().cpu().contiguous().clone() for k, v in tensors.items()}
-    save_file(kept, str(temporary), metadata={"about": json.dumps(about)})
-    os.replace(temporary, path.with_suffix(".safetensors"))
+    write_tensors(path.with_suffix(".safetensors"), tensors, {"about": json.dumps(about)})
 
 
 def read_checkpoint(
@@ -252,9 +247,8 @@ def read_checkpoint(
     if not file.exists():
         return None
     try:
-        tensors = load_file(str(file))
-        with safe_open(str(file), framework="pt") as opened:
-            about = json.loads((opened.metadata() or {})["about"])
+        tensors, header = read_tensors(file)
+        about = json.loads(header["about"])
     except (SafetensorError, KeyError, ValueError, OSError) as error:
         raise CheckpointError(f"checkpoint {file} is damaged ({error}). Remove it to start again.") from error
     kept = {k[5:] for k in tensors if k.startswith("kept.")}

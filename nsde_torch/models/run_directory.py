@@ -47,11 +47,16 @@ def save(model: Model, run_dir: str | Path, *, about: Mapping[str, Any] | None =
 
 
 def load(run_dir: str | Path, *, device: str | torch.device = "cpu") -> Model:
-    """The model of a run directory that `nsde train` wrote, in evaluation mode, without gradients.
+    """The model of a run directory, in evaluation mode, without gradients; `model.metrics` is its `metrics.json`.
 
-    `model.metrics` holds what `metrics.json` does. A system of the user's own is imported by the name that
-    `config.yaml` gives: load run directories that you trust. A CheckpointError where the folder or a file in it is
-    missing, damaged or from another version.
+    A system of the user's own is imported by the name that `config.yaml` gives: load run directories that you trust.
+
+    Args:
+        run_dir: Folder that `nsde train` wrote.
+        device: Where to put it.
+
+    Raises:
+        CheckpointError: the folder or a file in it is missing, damaged or from another version.
 
     Example:
         >>> model = load("runs/hexacopter")  # doctest: +SKIP

@@ -84,9 +84,6 @@ def simulate(
 ) -> Simulation:
     """Runs of a plant, as its recording chain logs them.
 
-    A ConfigError where a system, effect, parameter or option is unknown, a number out of range, or effects so strong
-    that the machine cannot be flown.
-
     Args:
         system: A system that has a plant: key of `nsde_torch.systems.SYSTEMS`, `module:Class` or the class of your own
             (`System.machine`).
@@ -106,6 +103,10 @@ def simulate(
         plan: Inputs to give in place of the system's own recording: a CSV file, or the folder of `nsde design` (see
             `nsde_torch.simulation.planned`).
         options: Further options of the system's recording (`force`, `policy`, `variants`, ...).
+
+    Raises:
+        ConfigError: an unknown system, effect, parameter or option, a number out of range, or effects so strong that
+            the machine cannot be flown.
 
     Example:
         >>> made = simulate("mass_spring_damper", effects=[{"coulomb_friction": {"size": 0.2}}], seed=1)

@@ -46,7 +46,7 @@ def rewrite(graph: fx.Graph, values: Mapping[fx.Node, object]) -> None:
         if node.target is _CAT:
             _flatten(node, shape)
         elif node.target is _SPLIT:
-            _narrow(node, shape)
+            _narrow(node)
         elif node.target is getitem:
             new = _uncut(graph, node, shape)
             if new is not None:
@@ -82,7 +82,7 @@ def _flatten(node: fx.Node, shape: Shapes) -> None:
         node.args = (parts, axis)
 
 
-def _narrow(node: fx.Node, shape: Shapes) -> None:
+def _narrow(node: fx.Node) -> None:
     """Last parts of no width that nobody takes are not cut off."""
     widths: Any = list(node.args[1])  # type: ignore[arg-type]
     taken = {user.args[1] for user in node.users if user.target is getitem and user.users}

@@ -67,7 +67,9 @@ def without_motion(system: System) -> tuple[str, str]:
     (port, width), *_ = system.ports.items()
     named = [n for n, unit in zip(system.state_names, system.state_units, strict=True) if unit in SPEEDS]
     of = (named or list(system.state_names))[:width]
-    made = ", ".join(f'Coordinate("{n}", "{n}", Port.{port.name}, row={k})' for k, n in enumerate(of))
+    # a port of one's own is no attribute of `Port`
+    where_to = f"Port.{port.name}" if port.name in vars(Port) else f'Port("{port.value}")'
+    made = ", ".join(f'Coordinate("{n}", "{n}", {where_to}, row={k})' for k, n in enumerate(of))
     said = "no friction and no force is among the candidates"
     if named:
         where = f"{' and '.join(of)} {'are velocities' if len(of) > 1 else 'is a velocity'}"

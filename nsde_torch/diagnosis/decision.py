@@ -156,7 +156,7 @@ def decide(search: Search, chosen: Outcome, alone: FittedPhysics | None = None) 
         before = overview(PhysicsResiduals(search, joint.declared, declared))
     after = [] if place is None else dependences(PhysicsResiduals(search, place, base))
     levels = search.levels(*(["effects"] if found else []))
-    known = _inputs_know(after, chosen.test)
+    known = inputs_know(after, chosen.test)
     allowed = allowances_of_tests(chosen.test, known)
     # what arithmetic leaves has structure, and means nothing
     left = [] if base.arithmetic else beyond_chance(after, allowed, alpha=levels["structure"])
@@ -186,7 +186,7 @@ def decide(search: Search, chosen: Outcome, alone: FittedPhysics | None = None) 
     )
 
 
-def _inputs_know(tests: Sequence[Dependence], test: FeedbackTest) -> frozenset[str]:
+def inputs_know(tests: Sequence[Dependence], test: FeedbackTest) -> frozenset[str]:
     """Channels of a closed loop whose innovations inputs predict, and on which most is left of inputs a moment before.
 
     No lag and no delay explained that, so the controller saw more than the log. Of a motor and of a ball on a beam of

@@ -1,6 +1,7 @@
 """Machines that move nothing: what is stored beside a temperature, and comes back late."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,8 +11,12 @@ from torch import Tensor
 
 import nsde_torch
 from nsde_torch.data.raw import RawRun
+from nsde_torch.diagnosis.candidates import starts
+from nsde_torch.diagnosis.decision import inputs_know
+from nsde_torch.diagnosis.residual_tests import Dependence
 from nsde_torch.effects import Parameter, Port
 from nsde_torch.errors import ConfigError
+from nsde_torch.sysid.feedback_test import Answer, FeedbackTest
 from nsde_torch.systems import Defaults, ResidualPort, System
 
 DT, LOSS, GAIN = 1.0, 0.02, 0.5
@@ -60,6 +65,25 @@ def test_a_wall_that_stores_heat_is_found_and_none_where_there_is_none(exchange:
         for name, true in (("exchange", exchange), ("time", 120.0)):
             low, high = found["parameters"][f"relaxation.{name}"]["interval_90"]
             assert 0.97 * low < true < 1.03 * high < 1.5 * true
+
+
+def test_an_input_that_never_comes_near_zero_has_no_dead_band_and_no_gain_by_its_sign() -> None:
+    near, far = ({"input": 1.0, "least input": least, "step": 0.1} for least in (0.01, 0.9))
+    for name in ("actuator_deadband", "asymmetric_gain"):
+        assert starts(Room(), name, near, ())
+        assert not starts(Room(), name, far, ())
+    assert starts(Room(), "input_delay", far, ())
+
+
+def test_in_a_closed_loop_inputs_a_moment_before_are_what_the_controller_knew() -> None:
+    before, of_state = (
+        Dependence("T", variable, 1e-9, 0.2, 0.5, gain, 2)
+        for variable, gain in (("heater before", 300.0), ("T", 30.0))
+    )
+    loop = FeedbackTest((Answer("heater", "T", 0.2, 1e-9),), (Answer("heater", "T", 0.2, 1e-9),), rows=900)
+    assert inputs_know([before, of_state], loop) == {"T"}
+    assert not inputs_know([before, of_state], FeedbackTest())
+    assert not inputs_know([replace(before, gain=3.0), of_state], loop), "a law of the state is more"
 
 
 def test_stores_of_a_machine_without_coordinates_have_no_friction() -> None:

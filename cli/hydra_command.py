@@ -107,6 +107,8 @@ class HydraCommand:
             return error.status
         except NsdeError as error:
             return self._user_error(error, messages.in_keys(str(error), self.schema.__dataclass_fields__))  # type: ignore[attr-defined]
+        except BrokenPipeError:
+            raise  # `nsde effects | head`: the caller ends without a word
         except Exception as error:
             message = messages.explain(error, self.name, words) or self._sweep_message()
             if message is None:

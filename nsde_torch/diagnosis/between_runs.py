@@ -78,9 +78,10 @@ class ExplainedDifference:
                 system = system.with_effects()
                 effect, own = target.rsplit("/", 1)
                 shared_by_all = effect_of(system, effect)
-                low = shared_by_all.parameter(own).low
-                low = -np.inf if low is None else low + 1e-6 * shared_by_all.scale_of(own)
-                shared_by_all.set_value(own, np.maximum(each[0], low).tolist())
+                spec, inside = shared_by_all.parameter(own), 1e-6 * shared_by_all.scale_of(own)
+                low = -np.inf if spec.low is None else spec.low + inside
+                high = np.inf if spec.high is None else spec.high - inside
+                shared_by_all.set_value(own, np.clip(each[0], low, high).tolist())
             made, change = [], (each[1:] - each[0]).T
             for part in target.split(","):
                 cls = difference_on(system, part)

@@ -174,7 +174,8 @@ def test_every_term_of_the_library_is_of_the_grammar_and_has_one_spelling() -> N
     names = ["theta", "theta_dot", "x_dot"]
     terms = terms_of(names, {n: rng.normal(size=200) for n in names}, ["theta"])
     texts = [
-        "torque = " + " + ".join(f"c{n} {part}" for n, part in enumerate(term.parts, 1)) for term in terms
+        "torque = " + " + ".join(f"c{n} {part}".strip() for n, part in enumerate(term.parts, 1))
+        for term in terms
     ]
     assert all(parse(text).text == text for text in texts)
     assert len(set(texts)) == len({(term.parts, *dict(term.start)) for term in terms})

@@ -62,7 +62,7 @@ from nsde_torch.systems.vocabulary import seen_by, vocabulary
 _COUPLED = 10
 # products of which the likeliest is fitted: by scores alone `sail wind^2` went before that with the boat's heading
 _PRODUCTS = 10
-_FEW = 6  # variables, of all of which laws are tried
+_FEW = 6  # variables, of all of which laws are tried: those of the arm and of the cylinder that took minutes
 _CLOSE = 0.3  # share of the nats of the best term below which no further one is fitted
 
 
@@ -245,14 +245,16 @@ class LawSearch:
     def selected(self, joint: JointSelection, replaced: Sequence[str]) -> JointSelection | None:
         """A selection with laws, also in the place of some effects; None where it is the same."""
         search = self._search
-        place, functions = joint.final, self.functions(joint.final)
-        whole = joint.final.best.likelihood + (0.0 if functions is None else sum(functions.nats.values()))
+        place, whole = joint.final, joint.final.best.likelihood
+        few = bool(_all_variables(place.system))
+        if few and (functions := self.functions(joint.final)) is not None:
+            whole += sum(functions.nats.values())
         of_effects = {n: e for n in replaced if isinstance(e := effect_of(place.system, n), Law)}
         for name in replaced:
             place = search.without(place, name)
         laws, most = set[str](), search.search.decisions.most_effects
         while len(laws) < search.search.budgets.laws and len(search.added(place.system)) < most:
-            left = max(whole - place.best.likelihood, 0.0) if _all_variables(place.system) else None
+            left = max(whole - place.best.likelihood, 0.0) if few else None
             better = self._with_a_law(place, list(of_effects.values()), left)
             if better is None:
                 break

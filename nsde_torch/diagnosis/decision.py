@@ -193,12 +193,12 @@ def inputs_know(tests: Sequence[Dependence], test: FeedbackTest) -> frozenset[st
     which nothing was missing, whose loops ran faster on better sensors, "something has a memory", and both were
     `unexplained`.
     """
+    if not (test.closed and test.predictive):
+        return frozenset()
     most: dict[str, Dependence] = {}
     for d in tests:
         if d.p < ALPHA and (d.channel not in most or d.excess > most[d.channel].excess):
             most[d.channel] = d
-    if not (test.closed and test.predictive):
-        return frozenset()
     return frozenset(c for c, d in most.items() if d.variable.endswith(BEFORE))
 
 

@@ -534,10 +534,8 @@ class JointSearch:
             check_time()
             there = few._tried(joined(place.system, name, dict(value)), here)
             if there.best.likelihood > least:
-                least, tried = (
-                    there.best.likelihood,
-                    there if few is self else self._tried(there.system, place),
-                )
+                least = there.best.likelihood
+                tried = there if few is self else self._tried(there.system, place)
                 best = max(best, tried, key=lambda f: f.best.likelihood)
         return best if best is before else self._settled(best)
 

@@ -7,7 +7,7 @@ from typing import ClassVar, final
 import torch
 from torch import Tensor
 
-from nsde_torch.effects.base import Effect, Parameter, Port, elapsed
+from nsde_torch.effects.base import Effect, Parameter, Port, elapsed, in_row
 from nsde_torch.effects.coordinates import KINDS, Bound
 from nsde_torch.effects.law import Law
 
@@ -119,6 +119,12 @@ class PeriodicForce(Law):
 # of the rotor.)
 
 
+_OF_ANGLE = {
+    "sine": Parameter(0.0, "force", scale=0.1, help="part that is nothing at the origin"),
+    "cosine": Parameter(0.0, "force", scale=0.1, help="part that is largest at the origin"),
+}
+
+
 @final
 class Ripple(Law):
     """A force that repeats a number of times a turn."""
@@ -129,8 +135,7 @@ class Ripple(Law):
     formula = "a sin(n q) + b cos(n q)"
     source = "cogging torque, Proca et al., IEEE Transactions on Energy Conversion 18 (2003)"
     PARAMETERS = {
-        "sine": Parameter(0.0, "force", scale=0.1, help="part that is nothing at the origin"),
-        "cosine": Parameter(0.0, "force", scale=0.1, help="part that is largest at the origin"),
+        **_OF_ANGLE,
         "order": Parameter(6.0, "1", low=0.5, scale=1.0, help="repeats in a turn"),
     }
     along = "position"
@@ -214,10 +219,7 @@ class LinkWeight(Law):
     reads_position = reads_chain = True
     formula = "a sin(s) + b cos(s) on this and all joints before, s = q1 + ... + q"
     source = "gravity terms of a planar arm; Craig, Introduction to Robotics (2005), chapter 6"
-    PARAMETERS = {
-        "sine": Parameter(0.0, "force", scale=0.1, help="part that is nothing at the origin"),
-        "cosine": Parameter(0.0, "force", scale=0.1, help="part that is largest at the origin"),
-    }
+    PARAMETERS = _OF_ANGLE
     amplitudes = ("sine", "cosine")
     sentence = "The link of {it} weighs more or less than declared (sine {sine}, cosine {cosine})."
     separate = "hold the arm still in many postures"
@@ -235,7 +237,7 @@ class LinkWeight(Law):
 
 @final
 class GravityTorque(Law):
-    """Weight beside the axis of one joint: a pendulum that is heavier or longer than declared, or leans otherwise.
+    """Weight beside the axis of one joint: a pendulum that is heavier or longer than declared, or of another zero.
 
     Of a Furuta pendulum whose weight was a fifth too small it was a `ripple` of order 0.997, provisional.
     """
@@ -245,10 +247,7 @@ class GravityTorque(Law):
     reads_position = True
     formula = "a sin(q) + b cos(q)"
     source = "gravity term of a pendulum; Craig, Introduction to Robotics (2005), chapter 6"
-    PARAMETERS = {
-        "sine": Parameter(0.0, "force", scale=0.1, help="part that is nothing at the origin"),
-        "cosine": Parameter(0.0, "force", scale=0.1, help="part that is largest at the origin"),
-    }
+    PARAMETERS = _OF_ANGLE
     along = "position"
     amplitudes = ("sine", "cosine")
     sentence = "A weight that is not declared turns {it} (sine {sine}, cosine {cosine})."
@@ -462,8 +461,7 @@ class AddedInertia(Law):
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         """The share of the rate of the whole state that it adds (N, nx)."""
-        k = self.at.velocity
-        return torch.nn.functional.pad(self.term(t, x, u, memory), (k, x.shape[1] - k - 1))
+        return in_row(self.term(t, x, u, memory), self.at.velocity, x.shape[1])
 
 
 class PositionBias(Law):
@@ -489,4 +487,4 @@ class PositionBias(Law):
         """What is to be added to the state (N, nx)."""
         k = self.at.position
         assert k is not None
-        return torch.nn.functional.pad(self.term(t, x, u, memory), (k, x.shape[1] - k - 1))
+        return in_row(self.term(t, x, u, memory), k, x.shape[1])

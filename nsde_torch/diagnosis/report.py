@@ -367,7 +367,7 @@ def _spectrum(outcome: Outcome, channel: str) -> plots.ResidualSpectrum:
     for name, r in curves.items():
         frequency, power = spectrum(r, number)
         amplitudes[name] = np.sqrt(2.0 * power[1:] / dt)
-    push, sensor = white_parts(regression, number)
+    push, sensor, _ = white_parts(regression, number)
     floor = push + 4.0 * np.sin(np.pi * frequency[1:] * dt) ** 2 * sensor
     amplitudes["floor"] = np.sqrt(2.0 * floor / dt)
     return plots.ResidualSpectrum(

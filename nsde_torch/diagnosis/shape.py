@@ -144,6 +144,7 @@ def bins(value: Array, residual: Array, block: Labels, *, count: int = _BINS) ->
 
 _FROM = 0.25  # of half the sampling rate
 _PART = 256  # steps of a periodogram
+_REWEIGHTED = 5  # fits of the two levels, each weighted by the one before
 
 
 @dataclass(frozen=True)
@@ -155,7 +156,7 @@ class ChannelResidual:
     measured: float  # standard deviation of the measured rate
     before: float
     after: float  # before, after: without and with the effects
-    floor: float  # what white noise of sensors and pushes leaves
+    floor: float  # what white noise of sensors and disturbances may leave
 
     @property
     def explained(self) -> float:
@@ -187,7 +188,7 @@ def channel_residuals(before: Regression, after: Regression) -> list[ChannelResi
             smooth_rate(values[:, [channel]], steps.segments, window, steps.dt)
             for values in (before.physics.measured, *left)
         )
-        push, sensor = white_parts(after, int(channel))
+        _, sensor, push = white_parts(after, int(channel))
         floor = float(np.sqrt(push * np.square(window).sum() + sensor * bend) / after.physics.steps.dt)
         name, unit = before.physics.names[channel], per_second(before.physics.units[channel])
         size = float(measured.std()) if len(measured) else 0.0
@@ -213,16 +214,25 @@ def spectrum(regression: Regression, channel: int) -> tuple[Array, Array]:
     return frequency, total / max(weight, 1)
 
 
-def white_parts(regression: Regression, channel: int) -> tuple[float, float]:
-    """Variances per step of the disturbance and of the sensor, from the upper half of the band."""
+def white_parts(regression: Regression, channel: int) -> tuple[float, float, float]:
+    """Variances per step of the disturbance and of the sensor, from the upper half of the band, and a surer first one.
+
+    By Whittle's likelihood. Where the sensor's noise hides the disturbance there, the variance that the data show is 0
+    and that of a disturbance that they cannot deny is not: the third value, two standard errors above the first. With
+    the first alone dry friction of seven blind logs with white gusts left "10 to 25 times white noise".
+    """
     frequency, power = spectrum(regression, channel)
+    steps = regression.physics.steps
     high = frequency >= _FROM * frequency[-1]
-    curve = 4.0 * np.sin(np.pi * frequency * regression.physics.steps.dt) ** 2
-    level = np.maximum(power[high], 1e-300)
-    columns = np.stack((1.0 / level, curve[high] / level), 1)
-    size = columns.max(0)
-    found, _ = nnls(columns / size, np.ones(int(high.sum())))
-    return float(found[0] / size[0]), float(found[1] / size[1])
+    parts = max(sum(b - a for a, b in steps.segments) / (2 * (len(frequency) - 1)), 1.0)
+    columns = np.stack((np.ones(int(high.sum())), 4.0 * np.sin(np.pi * frequency[high] * steps.dt) ** 2), 1)
+    level, found = np.maximum(power[high], 1e-300), np.zeros(2)
+    for _ in range(_REWEIGHTED):  # by what is fitted: by the powers themselves it would be biased low
+        found, _ = nnls(columns / level[:, None], power[high] / level)
+        level = np.maximum(columns @ found, 1e-12 * max(float(power[high].max()), 1e-288))
+    information = parts * (columns / level[:, None]).T @ (columns / level[:, None])
+    error = np.sqrt(np.diag(np.linalg.pinv(information))[0])
+    return float(found[0]), float(found[1]), float(found[0] + 2.0 * error)
 
 
 def _rms(values: Array) -> float:

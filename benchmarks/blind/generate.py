@@ -60,6 +60,7 @@ DURATIONS: dict[str, list[float]] = {
 _TURNED = ("frame_misalignment",)
 _OF_THE_LOG = (*_TURNED, "position_bias[pole]")
 _LATER = (  # than the committed seeds, whose draws stay what they were
+    "drift_velocity",
     "relaxation",
     "viscoelasticity",
     "added_inertia",

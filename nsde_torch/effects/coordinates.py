@@ -15,6 +15,8 @@ MOVING = ("rail", "joint", "axis")
 STORE = "store"
 """Kind of what is a level, a temperature, a charge or a voltage, and moves nothing."""
 KINDS = (*MOVING, STORE)
+PLACE = "place"
+"""Kind of a position whose rate is worked out of velocities, as a boat's in the world; none that is declared."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,7 @@ class Bound:
     port: Port
     row: int
     width: int  # rows of the port
-    kind: str
+    kind: str  # one of `KINDS`, or `PLACE`
     units: tuple[tuple[str, str], ...]  # units of `position`, `speed` and `force` (what the port adds)
     words: str
     load: str = ""

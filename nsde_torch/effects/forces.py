@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from nsde_torch.effects.base import Effect, Parameter, Port, elapsed, in_row
-from nsde_torch.effects.coordinates import KINDS, Bound
+from nsde_torch.effects.coordinates import KINDS, PLACE, Bound
 from nsde_torch.effects.law import Law
 
 
@@ -427,6 +427,30 @@ class Viscoelasticity(_Slow):
     def memory_start(self, x: Tensor, u: Tensor) -> Tensor:
         """See `Effect.memory_start`: without force."""
         return torch.zeros_like(self.v(x))
+
+
+@final
+class DriftVelocity(Law):
+    """A position changes by more than the velocities say: a current under a boat, water or air that carries it along.
+
+    Without it the current of two boats was rudders that are late and a heading whose zero changes.
+    """
+
+    name = "drift_velocity"
+    kinds = (PLACE,)
+    formula = "c, added to the rate of a position"
+    source = (
+        "Fossen, Handbook of Marine Craft Hydrodynamics and Motion Control (2011), on irrotational currents"
+    )
+    PARAMETERS = {"velocity": Parameter(0.0, "force", scale=0.1, help="in the direction of this position")}
+    amplitudes = ("velocity",)
+    sentence = "{it} changes by {velocity} more than the velocities say: a current carries the machine along."
+    separate = (
+        "turn the machine: a current keeps its direction in the world, a velocity that is read wrong does not"
+    )
+
+    def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        return self.value("velocity").expand(x.shape[0], 1)
 
 
 class AddedInertia(Law):

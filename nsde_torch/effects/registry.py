@@ -37,6 +37,7 @@ EFFECTS: dict[str, type[Effect]] = {
         forces.AddedInertia,
         forces.Viscoelasticity,
         forces.Relaxation,
+        forces.DriftVelocity,
         friction.Hysteresis,
         forces.Ripple,
         forces.StopAbove,
@@ -160,7 +161,7 @@ def effect_class(
         )
     if coordinates is None:
         return unplaced(cls, coordinate) if coordinate else cls
-    return law_at(cls, _coordinate(base, coordinate, coordinates))
+    return law_at(cls, _coordinate(cls, coordinate, coordinates))
 
 
 def _on_one_input(cls: type[Effect], name: str, inputs: Sequence[Input] | None) -> type[Effect]:
@@ -177,8 +178,9 @@ def _on_one_input(cls: type[Effect], name: str, inputs: Sequence[Input] | None) 
     raise ConfigError(f"effect {joined_name(cls.name, name)!r}: {name!r} is no input of the system; {what}.")
 
 
-def _coordinate(law: str, name: str, coordinates: Sequence[Bound]) -> Bound:
+def _coordinate(cls: type[Law], name: str, coordinates: Sequence[Bound]) -> Bound:
     """The coordinate that a law is meant for."""
+    law = cls.law.name
     if not coordinates:
         raise ConfigError(f"effect {law!r} is a law of one coordinate, and the system declares none.")
     if not name and len(coordinates) == 1:
@@ -186,7 +188,7 @@ def _coordinate(law: str, name: str, coordinates: Sequence[Bound]) -> Bound:
     for at in coordinates:
         if name in (at.declared, at.name) and name:
             return at
-    choices = ", ".join(joined_name(law, at.declared) for at in coordinates)
+    choices = ", ".join(joined_name(law, at.declared) for at in coordinates if cls.suits(at))
     wrong = (
         f"the coordinate {name!r} is none of the system's" if name else "the system has several coordinates"
     )

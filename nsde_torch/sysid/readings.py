@@ -28,7 +28,7 @@ from nsde_torch.arrays import Array, Labels
 from nsde_torch.data import Run
 from nsde_torch.data.quaternion import multiply
 from nsde_torch.data.system_info import derivative_columns, rate_columns
-from nsde_torch.effects.coordinates import STORE
+from nsde_torch.effects.coordinates import MOVING
 from nsde_torch.effects.law import joined_name
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.rough import Objection, beginnings, left_at, rough_fit, share_left
@@ -204,7 +204,7 @@ def _braked(
     system: System, runs: Sequence[Run], clock: float, rough: Regression
 ) -> tuple[System, Regression]:
     """The physics with a viscous friction of every coordinate, fitted; as it is where it has none, or no fit."""
-    moving = [at for at in system.bound_coordinates() if at.kind != STORE]
+    moving = [at for at in system.bound_coordinates() if at.kind in MOVING]
     names = [joined_name("viscous_friction", at.name) for at in moving]
     new = [system.make_effect(name) for name in names if name not in system.effect_names]
     braked = system.with_effects(*new)

@@ -13,7 +13,7 @@ from torch import Tensor
 from nsde_torch.effects import units
 from nsde_torch.effects.base import Effect, Port
 from nsde_torch.effects.by_run import target_of
-from nsde_torch.effects.coordinates import KINDS, STORE, Bound, Coordinate
+from nsde_torch.effects.coordinates import KINDS, PLACE, STORE, Bound, Coordinate
 from nsde_torch.effects.expression_grammar import is_law
 from nsde_torch.effects.law import Law
 from nsde_torch.effects.registry import effect_class, make_effect
@@ -53,7 +53,7 @@ def bound_coordinates(cls: type[System]) -> tuple[Bound, ...]:
         of = (("position", where), ("speed", speed), ("force", force))
         place = (position, velocity, c.port, c.row, cls.ports[c.port])
         out.append(Bound(name, *place, c.kind, of, words, c.load, c.name))
-    return tuple(replace(at, chain=_chain(out, at)) for at in out)
+    return (*(replace(at, chain=_chain(out, at)) for at in out), *_places(cls, out))
 
 
 def _chain(declared: Sequence[Bound], at: Bound) -> tuple[tuple[int, int], ...]:
@@ -135,14 +135,26 @@ def _stores(cls: type[System]) -> tuple[Bound, ...]:
     if Port.BODY_MOMENT in cls.ports:
         return ()
     positions = {q for q, _, _ in cls.position_derivatives}
-    named = [(k, n) for k, n in enumerate(cls.state_names) if n not in positions]
-    out = []
-    for k, n in named:
-        unit = cls.state_units[k]
-        of = (("position", f"{unit} s"), ("speed", unit), ("force", units.of("speed/s", {"speed": unit})))
-        place = (None, k, Port.RATE, k, len(cls.state_names))
-        out.append(Bound(n if len(named) > 1 else "", *place, STORE, of, n, "", n))
-    return tuple(out)
+    named = [k for k, n in enumerate(cls.state_names) if n not in positions]
+    return tuple(_on_rate(cls, k, STORE, named=len(named) > 1) for k in named)
+
+
+def _places(cls: type[System], declared: Sequence[Bound]) -> list[Bound]:
+    """Positions of a machine of several coordinates that are none of them: a boat's in the world, a wheeled robot's."""
+    if len(declared) < 2:
+        return []
+    taken = {k for at in declared for k in (at.position, at.velocity)}
+    lengths = {dict(at.units)["position"] for at in declared}
+    rest = [k for k, unit in enumerate(cls.state_units) if k not in taken and unit in lengths]
+    return [_on_rate(cls, k, PLACE, named=True) for k in rest]
+
+
+def _on_rate(cls: type[System], k: int, kind: str, *, named: bool) -> Bound:
+    """A state whose own rate may be changed; `named`: whether its effects need its name."""
+    name, unit = cls.state_names[k], cls.state_units[k]
+    of = (("position", f"{unit} s"), ("speed", unit), ("force", units.of("speed/s", {"speed": unit})))
+    place = (None, k, Port.RATE, k, len(cls.state_names))
+    return Bound(name if named else "", *place, kind, of, name, "", name)
 
 
 def _pushes(cls: type[System], port: Port, speed: str) -> bool:

@@ -1,0 +1,89 @@
+"""Machines whose positions follow from their velocities: what carries them along without a velocity saying so."""
+
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+import torch
+from scipy.integrate import solve_ivp
+from torch import Tensor
+
+import nsde_torch
+from nsde_torch.data.raw import RawRun
+from nsde_torch.effects import Coordinate, Parameter, Port
+from nsde_torch.errors import ConfigError
+from nsde_torch.systems import Defaults, ResidualPort, System
+from tests.helpers.effect_contract import EffectContract
+
+DT, DRAG, TURN = 0.1, (0.3, 0.8), 0.4
+CURRENT = (0.12, -0.2)
+
+
+class Boat(System):
+    """A boat that is pushed and turned, its velocities through the water."""
+
+    name = "boat"
+    state_names, state_units = ("x", "y", "psi", "u", "r"), ("m", "m", "rad", "m/s", "rad/s")
+    input_names, input_units = ("thrust", "rudder"), ("1", "rad")
+    position_derivatives = (("psi", "r", "world"),)
+    ports = {Port.FORCE: 1, Port.TORQUE: 1}
+    coordinates = (
+        Coordinate("surge", "u", Port.FORCE, kind="rail"),
+        Coordinate("yaw", "r", Port.TORQUE, position="psi", kind="axis"),
+    )
+    residual_ports = {Port.FORCE: ResidualPort(1, 0.1, "m/s2"), Port.TORQUE: ResidualPort(1, 0.1, "rad/s2")}
+    defaults = Defaults(DT, 20, (0.02, 0.02, 0.01, 0.02, 0.02), 0.1, 1.0, "euler_maruyama")
+    sensor_noise = True
+    PARAMETERS = {
+        "surge_drag": Parameter(DRAG[0], "1/s", low=0.0),
+        "yaw_drag": Parameter(DRAG[1], "1/s", low=0.0),
+        "turn": Parameter(TURN, "1/s2"),
+    }
+
+    def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
+        psi, speed, rate = x[:, 2:3], x[:, 3:4], x[:, 4:5]
+        along = u[:, :1] - self.value("surge_drag") * speed
+        turning = self.value("turn") * u[:, 1:] - self.value("yaw_drag") * rate
+        along = along + forces[Port.FORCE] if Port.FORCE in forces else along
+        turning = turning + forces[Port.TORQUE] if Port.TORQUE in forces else turning
+        return torch.cat((speed * torch.cos(psi), speed * torch.sin(psi), rate, along, turning), 1)
+
+
+def voyages(current: tuple[float, float]) -> list[RawRun]:
+    """Runs of a boat in water that flows."""
+    rng, t = np.random.default_rng(11), DT * np.arange(600)
+    out = []
+    for run in range(3):
+        u = np.repeat(np.stack((rng.uniform(0.1, 0.6, 20), rng.uniform(-1.0, 1.0, 20)), 1), 30, 0)
+
+        def rates(at: float, x: np.ndarray, u: np.ndarray = u) -> list[float]:
+            thrust, rudder = u[min(int(at / DT + 1e-9), len(u) - 1)]
+            _, _, psi, speed, rate = x
+            moved = [speed * np.cos(psi) + current[0], speed * np.sin(psi) + current[1]]
+            return [*moved, rate, thrust - DRAG[0] * speed, TURN * rudder - DRAG[1] * rate]
+
+        x = solve_ivp(rates, (0.0, t[-1]), [0.0, 0.0, 0.3, 0.5, 0.0], t_eval=t, max_step=DT, rtol=1e-8).y.T
+        out.append(RawRun(f"run_{run}", t + 100.0 * run, x + 0.02 * rng.normal(size=x.shape), u))
+    return out
+
+
+@pytest.mark.parametrize("current", [(0.0, 0.0), CURRENT])
+def test_a_current_is_found_in_its_direction_and_none_in_still_water(current: tuple[float, float]) -> None:
+    found = nsde_torch.diagnose(voyages(current), system=Boat, say=False).content()
+    flows = any(current)
+    assert sorted(found["added"]) == (["drift_velocity[x]", "drift_velocity[y]"] if flows else [])
+    for axis, true in zip("xy", current if flows else (), strict=False):
+        low, high = found["parameters"][f"drift_velocity[{axis}].velocity"]["interval_90"]
+        assert low - 0.002 < true < high + 0.002
+        assert high - low < 0.02
+
+
+class TestDriftVelocity(EffectContract):
+    name, system = "drift_velocity[x]", "tests.diagnosis.test_places:Boat"
+
+
+def test_places_have_no_friction_and_velocities_none_of_their_own() -> None:
+    able = Boat.able_effects()
+    assert {n for n in able if n.endswith(("[x]", "[y]"))} == {"drift_velocity[x]", "drift_velocity[y]"}
+    with pytest.raises(ConfigError, match=r"choose among drift_velocity\[x\], drift_velocity\[y\]"):
+        Boat().make_effect("drift_velocity")

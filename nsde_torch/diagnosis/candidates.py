@@ -1,5 +1,6 @@
 """Effects of the catalogue as candidates: which a system may have, where their fits start, and from how many starts."""
 
+import copy
 from collections.abc import Collection, Mapping, Sequence
 from math import prod
 
@@ -17,6 +18,7 @@ from nsde_torch.systems.parameters import own_name
 # of an input's size: one that never falls below it is an absolute temperature. A motor under 1.5 to 3 V may have a dead
 # band (tests/diagnosis/test_own_machines.py)
 _AWAY = 0.8
+_RARE_SIGN = 0.02  # of the rows: an input that has one sign with less of the other
 Start = dict[str, float | list[float]]
 SEVERAL_UNITS = "it has one number for inputs of several units; each input has its own"
 
@@ -44,8 +46,8 @@ def why_not(system: System, name: str) -> str:
         return "it compares inputs, and the machine has one"
     if of_several_units(cls, system.input_units[: system.nu]) and not issubclass(cls, OnOneInput):
         return SEVERAL_UNITS
-    if cls.port is Port.POSITION and not _depends(system, name):
-        return "nothing that is declared depends on that position"
+    if cls.port is Port.POSITION and (reason := _no_bias(system, name)):
+        return reason
     return cls.no_candidate(system.name)
 
 
@@ -84,14 +86,21 @@ def without_motion(system: System) -> tuple[str, str]:
 
 
 @torch.no_grad()
-def _depends(system: System, name: str) -> bool:
-    """Whether an error of a position changes any rate, at some states: of a heading in the open it does not."""
-    like = next(system.parameters(), torch.zeros(()))
-    x = torch.linspace(-1.0, 1.0, 7 * system.nx, dtype=like.dtype).reshape(7, -1)
-    u = x.new_ones(7, system.nu + len(system.exogenous))
-    biased = system.with_effects(system.make_effect(name, dict.fromkeys(effect_class(name).null, 0.1)))
-    z = system.augment(x, u)
-    return not torch.equal(system.drift(0.0, z, u), biased.drift(0.0, z, u))
+def _no_bias(system: System, name: str) -> str:
+    """Why the zero of a position is no candidate, by the rates of some states; empty where it may be one."""
+    of = copy.deepcopy(system).double()
+    x = torch.linspace(-0.9, 1.0, 7 * of.nx, dtype=torch.float64).reshape(7, -1)
+    u = x.new_ones(7, of.nu + len(of.exogenous))
+    rates = [of.drift(0.0, of.augment(x, u), u)]
+    for bias in (0.05, 0.1):
+        biased = of.with_effects(of.make_effect(name, dict.fromkeys(effect_class(name).null, bias)))
+        rates.append(biased.drift(0.0, biased.augment(x, u), u))
+    once, twice = ((rate - rates[0]).nan_to_num(0.0, 0.0, 0.0) for rate in rates[1:])
+    if not bool(twice.any()):  # of a heading in the open
+        return "nothing that is declared depends on that position"
+    if torch.allclose(twice, 2.0 * once, rtol=1e-6, atol=1e-9 * float(twice.abs().max())):
+        return "all that is declared is linear in that position, and a steady force is the same"
+    return ""
 
 
 def check_candidates(system: System, names: Sequence[str], also: Sequence[str] = ()) -> list[str]:
@@ -150,6 +159,9 @@ def starts(
     at = cls.at.name if issubclass(cls, OnOneInput) else ""
     # a heat exchanger whose water comes at 338 to 361 K had an asymmetric gain of it, surely
     if cls.around_zero and scales[joined_name("least input", at)] > _AWAY * scales[joined_name("input", at)]:
+        return []
+    # of a reactor whose inputs are positive a loss of heat was such an asymmetry of both, which is a loss of both
+    if cls.both_signs and scales[joined_name("rarer sign", at)] < _RARE_SIGN:
         return []
     found = cls.starts(scales, frequencies)
     for effect in system.effects:

@@ -147,7 +147,7 @@ class AsymmetricGain(Effect):
     """An input that acts more strongly in one direction than in the other."""
 
     name = "asymmetric_gain"
-    around_zero = True
+    both_signs = True
     each_input = True
     port = Port.INPUT
     stage = 1

@@ -271,6 +271,7 @@ class Effect(Parametrised, ABC):
     """Whether one input of several may have it alone (see `effects.one_input`)."""
     around_zero: ClassVar[bool] = False
     """Whether it is about inputs near zero. Of inputs that stay far from it, a dead band is an offset."""
+    both_signs: ClassVar[bool] = False  # whether of inputs of one sign it is another effect
     local: ClassVar[bool] = False
     """Whether it acts in one place alone. The data may never have reached it: that they do not show it says nothing."""
     drifts: ClassVar[bool] = False  # whether it grows with the time of the log

@@ -493,7 +493,6 @@ class PositionBias(Law):
 
     name = "position_bias"
     port = Port.POSITION
-    kinds = ("joint", "axis")
     reads_position = True
     formula = "q - b, for all that depends on q"
     source = "zero of a rotary encoder; Craig, Introduction to Robotics (2005), on kinematic parameters"

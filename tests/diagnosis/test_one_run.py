@@ -54,7 +54,7 @@ def test_a_line_for_each_run_does_not_hide_a_friction_in_one() -> None:
     # eight slopes of the speed, which say nothing of friction
     assert best["q_dot by run"].excess > this.excess
     assert this.run == 2
-    assert this.p < 1e-4
+    assert this.p < 1e-3
 
 
 def test_of_two_runs_nobody_knows_which_is_the_odd_one() -> None:

@@ -67,11 +67,14 @@ def test_a_wall_that_stores_heat_is_found_and_none_where_there_is_none(exchange:
             assert 0.97 * low < true < 1.03 * high < 1.5 * true
 
 
-def test_an_input_that_never_comes_near_zero_has_no_dead_band_and_no_gain_by_its_sign() -> None:
-    near, far = ({"input": 1.0, "least input": least, "step": 0.1} for least in (0.01, 0.9))
-    for name in ("actuator_deadband", "asymmetric_gain"):
-        assert starts(Room(), name, near, ())
-        assert not starts(Room(), name, far, ())
+def test_an_input_that_never_comes_near_zero_has_no_dead_band_and_one_of_one_sign_no_gain_by_it() -> None:
+    near, far = (
+        {"input": 1.0, "least input": least, "rarer sign": 0.3, "step": 0.1} for least in (0.01, 0.9)
+    )
+    assert starts(Room(), "actuator_deadband", near, ())
+    assert not starts(Room(), "actuator_deadband", far, ())
+    assert starts(Room(), "asymmetric_gain", near, ())
+    assert not starts(Room(), "asymmetric_gain", {**near, "rarer sign": 0.0}, ())
     assert starts(Room(), "input_delay", far, ())
 
 

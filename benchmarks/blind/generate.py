@@ -61,6 +61,7 @@ _TURNED = ("frame_misalignment",)
 _OF_THE_LOG = (*_TURNED, "position_bias[pole]")
 _LATER = (  # than the committed seeds, whose draws stay what they were
     "drift_velocity",
+    "exchange",
     "relaxation",
     "viscoelasticity",
     "added_inertia",

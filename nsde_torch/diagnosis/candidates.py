@@ -64,24 +64,24 @@ def variable_of(effect: object) -> tuple[str, object] | None:
 
 
 def without_motion(system: System) -> tuple[str, str]:
-    """That no friction and no force is among the candidates of a machine, and the line that adds them; else nothing."""
-    effects = system.able_effects()
-    if any(cls.port in system.ports for cls in effects.values()) or not system.ports:
+    """That no friction and no force is among the candidates of a machine that moves, and the line that adds them.
+
+    Nothing of levels and temperatures, which have effects of stores.
+    """
+    effects, speeds = system.able_effects(), zip(system.state_names, system.state_units, strict=True)
+    named = [n for n, unit in speeds if unit in SPEEDS or unit.endswith("/s")]
+    if any(cls.port in system.ports for cls in effects.values()) or not system.ports or not named:
         return "", ""
     (port, width), *_ = system.ports.items()
-    named = [n for n, unit in zip(system.state_names, system.state_units, strict=True) if unit in SPEEDS]
-    of = (named or list(system.state_names))[:width]
+    of = named[:width]
     # a port of one's own is no attribute of `Port`
     where_to = f"Port.{port.name}" if port.name in vars(Port) else f'Port("{port.value}")'
     made = ", ".join(f'Coordinate("{n}", "{n}", {where_to}, row={k})' for k, n in enumerate(of))
-    said = "no friction and no force is among the candidates"
-    if named:
-        where = f"{' and '.join(of)} {'are velocities' if len(of) > 1 else 'is a velocity'}"
-    else:  # levels and temperatures
-        where = f"something may act on {' and '.join(of)} as a force does on a velocity"
     return (
-        f"{said}: system {system.name!r} declares no coordinate, and none is recognised",
-        f"where {where}, this line in its class adds them: coordinates = ({made},)",
+        f"no friction and no force is among the candidates: system {system.name!r} declares no coordinate, and none is "
+        "recognised",
+        f"where {' and '.join(of)} {'are velocities' if len(of) > 1 else 'is a velocity'}, this line in its class adds "
+        f"them: coordinates = ({made},)",
     )
 
 

@@ -40,7 +40,7 @@ from nsde_torch.diagnosis.evidence import bonferroni, folds_of, sum_error
 from nsde_torch.diagnosis.gram_table import GramTable
 from nsde_torch.diagnosis.laws import Term, tables, terms_on
 from nsde_torch.diagnosis.search import Search, acts_everywhere, bent_shape, without_effect
-from nsde_torch.effects import Effect, Law, effect_class
+from nsde_torch.effects import Effect, Law, Port, effect_class
 from nsde_torch.effects.law import AND
 from nsde_torch.errors import NsdeError
 from nsde_torch.inference import LogLikelihood, MaximumLikelihood, Optimum, nearly_maximised
@@ -758,6 +758,8 @@ class JointSearch:
         the blind springs of seed 8123: a dry friction of 0.37 m/s width for a damping that falls with the speed).
         """
         effect, space = effect_of(place.system, name), without.at.of.space
+        if effect.port in (Port.INPUT, Port.RATE) and not effect.n_memory:
+            return self._likelier_law(place, without)
         if not isinstance(effect, Law) or (effect.at.port, effect.at.row) not in space.disturbances:
             return "", None
         # without it the filter may diverge, and nothing can be begun there (blind joints of seed 202, case 1)
@@ -788,6 +790,23 @@ class JointSearch:
                     self.chosen(term.law, [term], terms)
                     return term.law, there
                 return term.law, None
+        return "", None
+
+    def _likelier_law(self, place: FittedPhysics, without: FittedPhysics) -> tuple[str, FittedPhysics | None]:
+        """As `_nearer_law`, of what an input or a store loses: any law of a machine of few variables, on any row.
+
+        A reactor's loss of heat was a loss of its coolant, which is 312 to 337 K, with a relaxation beside it.
+        """
+        there = self.laws.first(without) if self.laws is not None and self._some is None else None
+        if there is None:
+            return "", None
+        (law,) = self.added(there.system) - self.added(without.system)
+        difference = there.at.blocks - place.at.blocks
+        fewer = len(place.best.free) - len(there.best.free)
+        sure = log(max(len(self.libraries[law]), 1)) + sure_nats(self.search, sum_error(difference))
+        gained = float(difference.sum()) + 0.5 * fewer * log(len(difference))
+        if gained > (0.0 if fewer > 0 else sure):
+            return law, there if gained > sure else None
         return "", None
 
 

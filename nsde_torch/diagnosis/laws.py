@@ -106,6 +106,8 @@ def _of_one(name: str, v: Array, angle: bool, speed: bool) -> Iterator[LawTerm]:
     for text in (name, *(f"{name}^{n}" for n in (2, 3, 4, 5))):
         yield LawTerm((text,))
     yield LawTerm(("", name))  # what is lost to the surroundings
+    if not (speed or angle):  # what flows through a hole or a valve
+        yield LawTerm((f"root({name})",))
     for text in (f"abs({name})", f"abs({name}) {name}") if signed else ():
         yield LawTerm((text,))
     size = _size(v)

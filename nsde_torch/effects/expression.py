@@ -92,6 +92,10 @@ class _Settling:
             return _times([self.unit(part) for part in node.parts])
         if isinstance(node, Call) and node.function in ("sin", "cos", "sign", "peak", "pull", "expm1"):
             return {}
+        if isinstance(node, Call) and node.function == "root":
+            inner = self.unit(node.arguments[0])
+            whole = inner is not None and all(power % 2 == 0 for power in inner.values())
+            return {u: power // 2 for u, power in inner.items()} if inner is not None and whole else None
         parts = [part for _, part in node.parts] if isinstance(node, Sum) else list(node.arguments)
         return self._same(parts)
 
@@ -119,6 +123,8 @@ class _Settling:
                     f"law {self.text!r}: {in_text(node)} takes {what}; {in_text(node.arguments[0])} is in "
                     f"{units.written(given or {})}. Write {node.function}(k1 {in_text(node.arguments[0])})."
                 )
+        elif isinstance(node, Call) and node.function == "root":
+            self.settle(node.arguments[0], None)
         elif isinstance(node, Sum | Call):
             parts = [part for _, part in node.parts] if isinstance(node, Sum) else list(node.arguments)
             same = self._same(parts)
@@ -260,7 +266,9 @@ _CALLED: dict[str, Callable[..., Tensor]] = {
     "peak": lambda value, at: 2.0 * value * at / (value * value + at * at),
     "pull": lambda value, at: value / at * torch.exp(0.5 - 0.5 * (value / at) ** 2),
     "expm1": lambda value: torch.expm1(value.clamp_max(_LARGEST_EXPONENT)),
+    "root": lambda value: value.sign() * value.abs().clamp_min(_STEEPEST).sqrt(),
 }
+_STEEPEST = 1e-12  # size below which the slope of a root, which is infinite at 0, is none
 _LARGEST_EXPONENT = 30.0  # a rollout that has run off stays finite
 
 

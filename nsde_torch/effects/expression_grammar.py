@@ -8,7 +8,7 @@
 
 Functions are `abs(a)`, `sin(a)`, `cos(a)`, `max(a, b)`, `min(a, b)`, `sign(a, width)`, which is tanh(a / width),
 `peak(a, at)`, which is 2 a at / (a^2 + at^2), `pull(a, at)`, which is a / at exp(1/2 - a^2 / (2 at^2)), `expm1(a)`,
-which is exp(a) - 1, and `logged(name)`, a column of the log.
+which is exp(a) - 1, `root(a)`, which is the root of |a| with the sign of a, and `logged(name)`, a column of the log.
 A coefficient is `c` or `k` with a number or `_word` behind it: `c1`, `k_width`. Every term of the outer sum has exactly
 one coefficient as a factor, which is its size; all others are shapes.
 """
@@ -23,7 +23,7 @@ from nsde_torch.errors import ConfigError
 
 FUNCTIONS = {
     **{"abs": 1, "sin": 1, "cos": 1, "max": 2, "min": 2},
-    **{"sign": 2, "peak": 2, "pull": 2, "expm1": 1, "logged": 1},
+    **{"sign": 2, "peak": 2, "pull": 2, "expm1": 1, "root": 1, "logged": 1},
 }
 """Functions and the number of their arguments."""
 
@@ -434,6 +434,8 @@ class _Sympy(_Valued):
             return "2*({0})*({1})/(({0})**2 + ({1})**2)".format(*arguments)
         if function == "pull":
             return "({0})/({1})*exp(1/2 - ({0})**2/(2*({1})**2))".format(*arguments)
+        if function == "root":
+            return "sign({0})*sqrt(Abs({0}))".format(*arguments)
         return super().call(_SYMPY.get(function, function), arguments)
 
     def coefficient(self, node: Coefficient) -> str:
@@ -459,6 +461,8 @@ class _Latex(_Valued):
             return r"\frac{{{0}}}{{{1}}}\,e^{{1/2 - ({0})^2 / (2\,{1}^2)}}".format(*arguments)
         if function == "expm1":
             return rf"\left(e^{{{arguments[0]}}} - 1\right)"
+        if function == "root":
+            return r"\operatorname{{sign}}({0})\,\sqrt{{\left|{0}\right|}}".format(*arguments)
         return rf"{_LATEX[function]}\left({', '.join(arguments)}\right)"
 
     def coefficient(self, node: Coefficient) -> str:

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from nsde_torch.effects.base import Effect, Parameter, Port, elapsed, in_row
-from nsde_torch.effects.coordinates import KINDS, PLACE, Bound
+from nsde_torch.effects.coordinates import KINDS, PLACE, STORE, Bound
 from nsde_torch.effects.law import Law
 
 
@@ -402,6 +402,34 @@ class Relaxation(_Slow):
     def memory_start(self, x: Tensor, u: Tensor) -> Tensor:
         """See `Effect.memory_start`: in equilibrium."""
         return self.v(x)
+
+
+@final
+class Exchange(Law):
+    """What a store loses to its surroundings, which stay as they are: heat to a room, a leak, self-discharge.
+
+    Without it a reactor's loss of heat was a loss of its coolant, which is 312 to 337 K, and a slow relaxation.
+    """
+
+    name = "exchange"
+    kinds = (STORE,)
+    formula = "a - c v"
+    source = "Newton's law of cooling; a leak of a tank or a capacitor to first order"
+    PARAMETERS = {
+        "rate": Parameter(0.0, "force/speed", scale=0.1, help="share that is lost per second"),
+        "inflow": Parameter(
+            0.0, "force", scale=0.1, help="what comes in from around, `rate` times its level"
+        ),
+    }
+    amplitudes = ("rate", "inflow")
+    sentence = (
+        "{it} loses {rate} of what it is and gains {inflow}, in exchange with surroundings that stay as they are: at a "
+        "level of the one over the other."
+    )
+    separate = "hold the inputs and wait: it goes to a level that the inputs do not explain"
+
+    def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        return self.value("inflow") - self.value("rate") * self.v(x)
 
 
 @final

@@ -37,6 +37,7 @@ EFFECTS: dict[str, type[Effect]] = {
         forces.AddedInertia,
         forces.Viscoelasticity,
         forces.Relaxation,
+        forces.Exchange,
         forces.DriftVelocity,
         friction.Hysteresis,
         forces.Ripple,

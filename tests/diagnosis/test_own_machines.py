@@ -16,7 +16,7 @@ from torch import Tensor
 import nsde_torch
 from nsde_torch.arrays import Array
 from nsde_torch.data import RawRun
-from nsde_torch.diagnosis.candidates import why_not
+from nsde_torch.diagnosis.candidates import why_not, without_motion
 from nsde_torch.effects import Coordinate, Parameter, Port
 from nsde_torch.systems import Defaults, ResidualPort, System, make_system
 from tests.helpers.diagnosed import assert_interval
@@ -313,16 +313,9 @@ def test_what_a_motor_that_turns_one_way_cannot_tell_is_a_tie() -> None:
     assert max(abs(low + high) / 2 for low, high in ends) == pytest.approx(0.2, abs=0.02)
 
 
-def test_that_no_friction_and_no_force_was_tried_is_said() -> None:
-    rng = np.random.default_rng(0)
-    u, level = np.repeat(rng.uniform(0.3, 0.9, (40, 1)), 10, axis=0), np.full((400, 1), 1.0)
-    for k in range(399):
-        level[k + 1] = level[k] + 0.2 * (0.05 * u[k] - 0.04 * np.sqrt(level[k]))
-    runs = [RawRun("run_0", 0.2 * np.arange(400), level + 0.002 * rng.normal(size=level.shape), u)]
-    found = nsde_torch.diagnose(runs, system=Tank, max_effects=0, say=False)
-    (warning,) = (w for w in found.content()["warnings"] if w["kind"] == "no_coordinate")
-    assert 'coordinates = (Coordinate("level", "level", Port.FORCE, row=0),)' in warning["remedy"]
-    assert "no friction and no force" in str(found)
+def test_a_machine_of_levels_has_effects_of_stores_and_no_word_on_friction() -> None:
+    assert "exchange" in Tank.able_effects()
+    assert without_motion(Tank()) == ("", "")
 
 
 @pytest.mark.slow

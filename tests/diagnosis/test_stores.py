@@ -18,6 +18,7 @@ from nsde_torch.effects import Parameter, Port
 from nsde_torch.errors import ConfigError
 from nsde_torch.sysid.feedback_test import Answer, FeedbackTest
 from nsde_torch.systems import Defaults, ResidualPort, System
+from tests.helpers.effect_contract import EffectContract
 
 DT, LOSS, GAIN = 1.0, 0.02, 0.5
 
@@ -39,8 +40,8 @@ class Room(System):
         return heat + forces[Port("heat")] if Port("heat") in forces else heat
 
 
-def warmed(exchange: float, time: float) -> list[RawRun]:
-    """Runs of a room whose wall takes heat up and gives it back."""
+def warmed(*, exchange: float = 0.0, time: float = 120.0, leak: float = 0.0) -> list[RawRun]:
+    """Runs of a room whose wall takes heat up and gives it back, and that loses heat with the root of it."""
     rng, t = np.random.default_rng(4), DT * np.arange(900)
     out = []
     for run in range(3):
@@ -49,6 +50,7 @@ def warmed(exchange: float, time: float) -> list[RawRun]:
         def rates(at: float, y: np.ndarray, heater: np.ndarray = heater) -> list[float]:
             room, wall = y
             heat = GAIN * heater[min(int(at / DT + 1e-9), len(heater) - 1)] - LOSS * room
+            heat -= leak * max(room, 0.0) ** 0.5
             return [heat + exchange * (wall - room), (room - wall) / time]
 
         found = solve_ivp(rates, (0.0, t[-1]), [5.0, 5.0], t_eval=t, max_step=DT, rtol=1e-8).y
@@ -59,12 +61,24 @@ def warmed(exchange: float, time: float) -> list[RawRun]:
 
 @pytest.mark.parametrize("exchange", [0.0, 0.015])
 def test_a_wall_that_stores_heat_is_found_and_none_where_there_is_none(exchange: float) -> None:
-    found = nsde_torch.diagnose(warmed(exchange, 120.0), system=Room, say=False).content()
+    found = nsde_torch.diagnose(warmed(exchange=exchange), system=Room, say=False).content()
     assert found["added"] == (["relaxation"] if exchange else [])
     if exchange:
         for name, true in (("exchange", exchange), ("time", 120.0)):
             low, high = found["parameters"][f"relaxation.{name}"]["interval_90"]
             assert 0.97 * low < true < 1.03 * high < 1.5 * true
+
+
+def test_what_flows_through_a_hole_is_a_root_of_the_level() -> None:
+    """Beside a loss that is declared, which an exchange with surroundings would be half of."""
+    found = nsde_torch.diagnose(warmed(leak=0.05), system=Room, say=False).content()
+    assert found["added"] == ["heat = c1 root(T)"]
+    low, high = found["parameters"]["heat = c1 root(T).c1"]["interval_90"]
+    assert 1.03 * low < -0.05 < 0.97 * high
+
+
+class TestExchange(EffectContract):
+    name, system = "exchange", "tests.diagnosis.test_stores:Room"
 
 
 def test_an_input_that_never_comes_near_zero_has_no_dead_band_and_one_of_one_sign_no_gain_by_it() -> None:

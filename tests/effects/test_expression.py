@@ -60,8 +60,8 @@ def test_a_law_as_text_is_the_effect_that_a_class_of_ten_lines_would_be() -> Non
 
 def test_a_law_reads_states_inputs_and_columns_of_the_log_and_has_derivatives() -> None:
     law = "force = c1 sign(q_dot, k1) logged(load) - c2 min(q, 0)^2 cos(k2 q) force"
-    law += " + c3 peak(q_dot, k3) expm1(k4 q) time"
-    values = {"c1": 0.5, "c2": 0.2, "c3": 0.3, "k1": 0.1, "k2": 3.0, "k3": 0.7, "k4": 0.9}
+    law += " + c3 peak(q_dot, k3) expm1(k4 q) time + c4 root(q)"
+    values = {"c1": 0.5, "c2": 0.2, "c3": 0.3, "c4": 0.6, "k1": 0.1, "k2": 3.0, "k3": 0.7, "k4": 0.9}
     system = make_system("mass_spring_damper", effects=[law]).double()
     for name, value in values.items():
         system.effects[-1].set_value(name, torch.tensor([value]))  # type: ignore[operator]
@@ -71,6 +71,7 @@ def test_a_law_reads_states_inputs_and_columns_of_the_log_and_has_derivatives() 
     q, v = x[:, 0], x[:, 1]
     expected = 0.5 * torch.tanh(v / 0.1) * u[:, 1] - 0.2 * q.clamp(max=0) ** 2 * torch.cos(3.0 * q) * u[:, 0]
     expected = expected + 1.5 * 0.3 * 1.4 * v / (v**2 + 0.49) * (torch.exp(0.9 * q) - 1.0)
+    expected = expected + 0.6 * q.sign() * q.abs().sqrt()
     effect = system.effects[-1]
     assert isinstance(effect, Effect)
     found = effect(1.5, x, seen_by(system, effect, 1.5, x, u), x[:, :0])[:, 0]
@@ -240,6 +241,8 @@ def test_a_law_with_its_values_reads_in_text_in_latex_and_for_sympy() -> None:
     assert sympy_text(law, values) == (
         "-0.298*v_body_x**2 + 1e-05*Max(q_dot + 0.4, 0)*Abs(theta) + 2.0*tanh((q_dot)/(0.01))"
     )
+    assert sympy_text(parse("force = c1 root(q)"), {"c1": 2.0}) == "2.0*sign(q)*sqrt(Abs(q))"
+    assert latex(parse("force = c1 root(q)"), {"c1": 2.0}).endswith(r"\sqrt{\left|q\right|}")
     law = parse("force = c1 peak(q_dot, k1) + c2 expm1(k2 q)")
     values = {"c1": -30.0, "c2": 0.5, "k1": 8.0, "k2": 2.0}
     assert valued(law, values) == "force = -30 peak(q_dot, 8) + 0.5 (exp(2 q) - 1)"

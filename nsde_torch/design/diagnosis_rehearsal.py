@@ -28,9 +28,8 @@ from nsde_torch.diagnosis.pipeline import diagnose
 from nsde_torch.diagnosis.result import Content, Diagnosis
 from nsde_torch.effects.law import AND
 from nsde_torch.errors import ConfigError, NsdeError
-from nsde_torch.inference.estimate import LogLikelihood
+from nsde_torch.inference.estimate import LogLikelihood, filtered_at
 from nsde_torch.inference.maximum import likeliest
-from nsde_torch.inference.states import filtered_at
 from nsde_torch.progress import Say, reported
 from nsde_torch.recording import assemble
 from nsde_torch.systems import System

@@ -8,7 +8,7 @@ Theory 11 (1965); Ljung, System Identification, 1999, chapter 7):
 
     log p(y | theta, noise) = - 1/2 sum_k (e_k' S_k^-1 e_k + log det 2 pi S_k)
 
-    chunks        runs as a batch of chunks that overlap: a few hundred sequential steps do for a log of any length
+    steps         runs as steps, and these as chunks that overlap: a few hundred in sequence do for a log of any length
     state_space   the machine as this filter sees it: a step, its linearisation, what parameters do to it
     levels        sizes of the noise of sensors and disturbances, with the first guess
     filtering     one pass: innovations, gains, log likelihood
@@ -16,9 +16,8 @@ Theory 11 (1965); Ljung, System Identification, 1999, chapter 7):
     sensitivity   what parameters do to the innovations, as one Gram matrix per block of time
     force_scores  what the likelihood says of any force on the ports, by one pass backwards
     left_out      parts of a log as they are predicted by parameters that were fitted to the rest
-    states        the states that it finds at given physics, and what is not known of them
     posterior     theta at given noise levels with a prior: hundreds of short logs side by side
-    estimate      theta and noise levels of largest likelihood; the estimate, and whether its innovations are white
+    estimate      theta and noise levels of largest likelihood, whether its innovations are white; states at some values
 """
 
 from nsde_torch.inference.estimate import (

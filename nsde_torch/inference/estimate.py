@@ -23,7 +23,6 @@ from nsde_torch.arrays import Array, Labels
 from nsde_torch.data import Run
 from nsde_torch.effects import Port
 from nsde_torch.errors import DataError, NonFiniteError
-from nsde_torch.inference.chunks import Chunks
 from nsde_torch.inference.filtering import (
     Linearisation,
     Pass,
@@ -36,12 +35,19 @@ from nsde_torch.inference.filtering import (
     within_gate,
 )
 from nsde_torch.inference.levels import FOURTH, Levels, first_levels
-from nsde_torch.inference.low_pass import band_of, rows_apart
 from nsde_torch.inference.maximum import evenly, level_columns, likeliest
 from nsde_torch.inference.sensitivity import Grams, grams
 from nsde_torch.inference.spread import Spread
 from nsde_torch.inference.state_space import StateSpace
-from nsde_torch.inference.steps import Steps, data_sizes, inferred_columns, steps_of
+from nsde_torch.inference.steps import (
+    Chunks,
+    Steps,
+    band_of,
+    data_sizes,
+    inferred_columns,
+    rows_apart,
+    steps_of,
+)
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
 from nsde_torch.time_limit import check_time
@@ -65,7 +71,7 @@ _SHOWN = 1.0  # nats that a step may bring, for a parameter to be stepped
 # slopes leave out what theta does to covariances: where the likelihood has its optimum, they may ask for a step of a
 # standard error that loses half a nat, again in each of ten turns (the declared physics of NanoBench, a minute)
 _FALLEN = 2  # steps one after the other that lost something, after which there is no way up
-_PASSES = 4  # until the states that a filter is linearised about have settled
+_PASSES, _PASSES_TO_STATES = 4, 3  # until the states that a filter is linearised about have settled
 _LOST = 1.0  # nats by which the nonlinear filter may differ from its linearisation
 _LATE = 30  # rows after the start of a stretch in which unmeasured states are known from later ones
 _SHORTEST, _FEWEST = 32, 50  # steps of a stretch, rows in all
@@ -697,3 +703,53 @@ def _whiteness(white: Tensor, space: StateSpace) -> tuple[Array, Array]:
         squares.append(square)
         shares.append(share)
     return torch.stack(squares).numpy(), torch.stack(shares).clamp(0.0, 1.0).numpy()
+
+
+# ---- states at given physics -------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Filtered:
+    """A log under physics with their present values."""
+
+    of: LogLikelihood  # the likelihood, with these values in use
+    levels: Levels  # noise levels, from differences of the residuals of the physics
+    about: Linearisation  # what the pass is linearised about
+    at: Pass  # the pass, with the covariances of the states
+
+    def states(self, runs: Sequence[Run]) -> list[Array]:
+        """States of each run (n, nx); as they were read in rows that no stretch holds."""
+        space, steps, chunks = self.of.space, self.of.space.steps, self.of.space.chunks
+        x = space.shifted(self.about.x, self.at.delta[..., : space.ne])[..., : runs[0].x.shape[1]].numpy()
+        out = [np.array(run.x) for run in runs]
+        begun = np.array([a for a, _ in steps.segments])
+        for c in reversed(range(chunks.count)):  # where two overlap, that which has forgotten its start
+            first = int(chunks.row[0, c])
+            k = int(np.searchsorted(begun, first, side="right")) - 1
+            (a, b), n = steps.segments[k], steps.runs[k]
+            row = int(np.searchsorted(runs[n].t, float(steps.t[a]))) + first - a
+            count = min(chunks.size, b + 1 - first)
+            out[n][row : row + count] = x[:count, c]
+        return out
+
+    def square(self) -> Tensor:
+        """Mean square of the whitened innovations of each measured channel (m,)."""
+        return self.at.white[self.of.space.chunks.counted].square().mean(0)
+
+    def unknown(self) -> Tensor:
+        """What is not known of each error channel (ne,), as a standard deviation over the log."""
+        assert self.at.covariance is not None
+        variances = self.at.covariance.diagonal(dim1=-2, dim2=-1)[..., : self.of.space.ne]
+        return variances[self.of.space.chunks.counted].mean(0).sqrt()
+
+
+@torch.no_grad()
+def filtered_at(of: LogLikelihood) -> Filtered:
+    """A log under the first values of its physics; of positions alone best that of `states=True`."""
+    system = of.vector.at_first()
+    wide = ParameterVector(system)  # a friction narrower than all speeds has slopes that no step follows
+    wide.limit(data_sizes(wide.system, of.space.steps))
+    levels, about = of.first(of.vector.inside(wide.inside(wide.start)))
+    about, _ = of.settled(levels, about, of.filtered(levels, about), _PASSES_TO_STATES)
+    at = filtered(of.space, levels, about, of.space.chunks.counted, covariances=of.space.n)
+    return Filtered(of, levels, about, at)

@@ -388,7 +388,7 @@ def means(first: int, end: int, *of: Any) -> None:
 
 @compiled
 def adjoints(first: int, end: int, *of: Any) -> None:
-    """One pass backwards: what the log likelihood does with each source of noise (`nsde_torch.inference.level_slopes`).
+    """One pass backwards: what the log likelihood does with each source of noise (`nsde_torch.inference.maximum`).
 
     Args:
         slopes, keep, observed, whitening, gain: Of the pass.
@@ -535,7 +535,7 @@ def _row_adjoints(*of: Any) -> None:
 
 @compiled
 def slopes_in_levels(first: int, end: int, *of: Any) -> None:
-    """One pass forwards: slopes of the whitened innovations in each level (`nsde_torch.inference.level_slopes`).
+    """One pass forwards: slopes of the whitened innovations in each level (`nsde_torch.inference.maximum`).
 
     Args:
         slopes, keep, observed, whitening, gain, whitened, left_mean, left: As in `adjoints`.

@@ -18,10 +18,7 @@ from torch import Tensor
 from nsde_torch.arrays import Array
 from nsde_torch.columns import join_columns, split_columns
 from nsde_torch.effects import Port
-from nsde_torch.inference.chunks import Chunks
-from nsde_torch.inference.low_pass import low_passed
-from nsde_torch.inference.memory import memory_along
-from nsde_torch.inference.steps import Steps
+from nsde_torch.inference.steps import Chunks, Steps, low_passed, memory_along
 from nsde_torch.rotation import body_rates, turned
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector

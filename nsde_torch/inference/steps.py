@@ -1,25 +1,36 @@
-"""Runs as steps: both ends of every interval between samples, with the input held over it.
+"""Runs as steps, both ends of every interval between samples with the input held over it, and steps as chunks.
 
 Where effects carry memory (a lag), what they held when a recording began is unknown. The first steps of each segment,
 or those before it where rows were left out, then only bring it up: they are `run_in`, and no equation is asked of them.
+
+States that were smoothed before they were logged are restored up to a frequency f_r (`Run.low_pass`),
+
+    x_L = P x,    P a low pass at f_r:      x_L(k+1) - x_L(k) = P [step(x, u) - x](k)
+
+What lies above f_r is removed from the states, and not from the inputs. So what a step does, and what parameters do to
+a step, goes through P as well (it commutes with differences in time; of the state itself what lies above f_r is small
+beside what the inputs do). And x_L is no new measurement in each row: it is one in every 1 / (f_r dt) rows. Taken at
+f_r and not at twice that, what moves between half of f_r and f_r is folded back, which makes the increments of x_L
+nearly white, as they are of a state itself.
 """
 
+import copy
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, final
 
 import numpy as np
 import torch
+from scipy.fft import next_fast_len
 from torch import Tensor
 
-from nsde_torch.arrays import Array
+from nsde_torch.arrays import Array, Labels
 from nsde_torch.columns import by_column
 from nsde_torch.data import Run
 from nsde_torch.data.denoise import denoised
 from nsde_torch.effects.law import joined_name
 from nsde_torch.errors import DataError
-from nsde_torch.inference.low_pass import low_passed_states
 from nsde_torch.systems import System
 
 _Stretch = tuple[int, int, int]  # run, first row, last row + 1
@@ -264,3 +275,272 @@ def data_sizes(system: System, steps: Steps) -> dict[str, float]:
         if at.position is not None:
             out[joined_name("position", at.name)] = size(steps.x0[:, at.position])
     return out
+
+
+# ---- states that were smoothed, and restored up to a frequency ---------------------------------------
+
+
+_INSIDE = 0.85  # of the band that was restored: its end gives way to noise
+_FADES = 0.15  # of the frequency of a low pass, over which it fades
+_AROUND = 20.0  # periods of that frequency by which a stretch is prolonged
+
+
+def band_of(runs: Sequence[Run]) -> dict[str, float]:
+    """Frequencies up to which states hold what was measured [Hz], of those with louder noise above."""
+    names = {name for run in runs for name in run.low_pass}
+    return {name: _INSIDE * min(run.low_pass[name] for run in runs if name in run.low_pass) for name in names}
+
+
+def rows_apart(runs: Sequence[Run], band: Mapping[str, float], dt: float) -> dict[str, int]:
+    """Rows from one measurement of a state to the next, of states that are not measured anew in each row.
+
+    Args:
+        runs: Runs, some states of which have noise that is correlated from row to row (`Run.apart`).
+        band: Frequencies up to which states hold what was measured [Hz].
+        dt: Step [s].
+    """
+    out = {name: max(1, round(1.0 / (hz * dt))) for name, hz in band.items()}
+    for run in runs:
+        out |= {name: max(rows, out.get(name, 1)) for name, rows in run.apart.items()}
+    return out
+
+
+def low_passed_states(system: System, run: Run, clock: float) -> Array:
+    """States (n, nx) of a run without what stands above the bands of those that were smoothed."""
+    x = torch.from_numpy(np.array(run.x))
+    for name, hz in band_of([run]).items():
+        j = system.state_names.index(name)
+        for a, b in run.unbroken or run.segments:
+            x[a:b, j] = low_passed(x[a:b, j : j + 1], hz, run.dt * clock, level=True)[:, 0]
+    return np.asarray(system.project(x).numpy())
+
+
+def low_passed(values: Tensor, hz: float, dt: float, *, level: bool = False) -> Tensor:
+    """Values (n, ...) of one stretch below a frequency.
+
+    Args:
+        hz: The frequency [Hz].
+        dt: Step [s].
+        level: Whether they go on beyond the ends as a line through these, as states do; else as they come, mirrored.
+    """
+    n, some = len(values), max(1, int(1.0 / (hz * dt)))
+    around = min(n - 1, int(_AROUND / (hz * dt)))
+    before, behind = values[1 : around + 1].flip(0), values[n - 1 - around : n - 1].flip(0)
+    line = torch.zeros_like(values[:1])
+    if level:
+        # about the mean of some rows at each end, so that neither values nor slopes jump there
+        before = 2.0 * values[:some].mean(0) - before
+        behind = 2.0 * values[-some:].mean(0) - behind
+    longer = torch.cat((before, values, behind))
+    if level:
+        share = torch.linspace(0.0, 1.0, len(longer), dtype=values.dtype).view(-1, *(1,) * (values.dim() - 1))
+        line = longer[:some].mean(0) + share * (longer[-some:].mean(0) - longer[:some].mean(0))
+        longer = longer - line
+    size = next_fast_len(len(longer), real=True)  # a prime takes five times as long
+    f = torch.fft.rfftfreq(size, dt, dtype=torch.float64)
+    keep = 0.5 * (1.0 + torch.cos(torch.pi * ((f - hz) / (_FADES * hz) + 1.0).clamp(0.0, 1.0)))
+    spectrum = torch.fft.rfft(longer, size, dim=0) * keep.to(values.dtype).view(
+        -1, *(1,) * (values.dim() - 1)
+    )
+    out = torch.fft.irfft(spectrum, size, dim=0)[: len(longer)] + line
+    return out[around : around + n]
+
+
+# ---- memory along steps ------------------------------------------------------------------------------
+
+
+_PIECE = 50
+_TOLERANCE = 1e-9
+
+
+def memory_along(system: System, steps: Steps) -> tuple[Tensor, Tensor]:
+    """Memory at both ends of every step, or its mean over the step for both, (N, nz - nx) each.
+
+    m' = memory_rate(t, x, u, m), x and u as measured. The segments are cut into pieces that advance side by side. A
+    piece starts where its predecessor ended in the sweep before; sweeps are repeated until no start moves. A memory
+    that fades takes two or three sweeps, one that does not takes as many as a segment has pieces, and then is the
+    sequential solution all the same. A segment starts where its `run_in` ended; what starts without one is stationary.
+    What effects know exactly of held inputs (`Effect.held`: a delay, a lag) is taken from them: its mean over each
+    step, for both ends.
+    """
+    starts, exact, known = _held(system, steps)
+    if bool(known.all()):
+        return starts, exact
+    edges, chained = [], []
+    for a, b in steps.segments:
+        firsts = list(range(a, b, _PIECE))
+        edges += [(f, min(f + _PIECE, b)) for f in firsts]
+        chained += [False] + [True] * (len(firsts) - 1)
+    first = torch.tensor([a for a, _ in edges])
+    length = torch.tensor([b - a for a, b in edges])
+    follows = torch.tensor(chained)[:, None]
+    count = torch.arange(int(length.max()))
+    inside = count < length[:, None]
+    rows = torch.where(inside, first[:, None] + count, first[:, None])
+
+    def by_time(values: Tensor) -> tuple[Tensor, ...]:
+        return values[rows.T].unbind(0)
+
+    x0, x1, u, t = (by_time(v) for v in (steps.x0, steps.x1, steps.u, steps.t))
+    middle = by_time(system.project(0.5 * (steps.x0 + steps.x1)))
+    live = inside.T[..., None].unbind(0)
+    h, logged, given = steps.dt, steps.logged_dt, by_time(0.5 * (starts + exact))
+
+    def rate(t: Tensor, x: Tensor, u: Tensor, m: Tensor) -> Tensor:
+        moving = system.memory_rate(t, torch.cat((x, m), 1), u)
+        return moving.masked_fill(known, 0.0)
+
+    def advance(k: int, m: Tensor) -> Tensor:
+        k1 = rate(t[k], x0[k], u[k], m)
+        k2 = rate(t[k] + 0.5 * logged, middle[k], u[k], m + 0.5 * h * k1)
+        k3 = rate(t[k] + 0.5 * logged, middle[k], u[k], m + 0.5 * h * k2)
+        k4 = rate(t[k] + logged, x1[k], u[k], m + h * k3)
+        return m + (h / 6) * (k1 + 2.0 * (k2 + k3) + k4)
+
+    start = system.augment(x0[0], u[0])[:, system.nx :]
+    if steps.run_in is not None:
+        ends = memory_along(system, steps.run_in)[1]
+        last = ends[[b - 1 for _, b in steps.run_in.segments]]
+        start = start.index_copy(0, torch.nonzero(~follows[:, 0])[:, 0], last)
+    for _ in range(len(edges)):
+        m, before, after = start, [], []
+        for k in range(len(count)):
+            m = torch.where(known, given[k], m)
+            before.append(m)
+            m = torch.where(known, given[k], torch.where(live[k], advance(k, m), m))
+            after.append(m)
+        moved = torch.where(follows, torch.cat((start[:1], m[:-1])), start)
+        change, size = float((moved - start).abs().max()), float(start.abs().max())
+        start = moved
+        if not change > _TOLERANCE * max(1.0, size):
+            break
+    out = torch.stack(before, 1)[inside], torch.stack(after, 1)[inside]  # pieces are in order
+    return torch.where(known, starts, out[0]), torch.where(known, exact, out[1])
+
+
+def _held(system: System, steps: Steps) -> tuple[Tensor, Tensor, Tensor]:
+    """Memory that effects know exactly, as `System.held_memory` has it."""
+    starts, parts = [], []
+    for i, (a, b) in enumerate(steps.segments):
+        t, x, u, lead = steps.t[a:b], steps.x0[a:b], steps.u[a:b], 0
+        if steps.run_in is not None:
+            c, d = steps.run_in.segments[i]
+            t, x, u = (
+                torch.cat((before[c:d], own))
+                for before, own in ((steps.run_in.t, t), (steps.run_in.x0, x), (steps.run_in.u, u))
+            )
+            lead = d - c
+        before, after, known = system.held_memory(t, x, u, steps.dt)
+        starts.append(before[lead:])
+        parts.append(after[lead:])
+    return torch.cat(starts), torch.cat(parts), known
+
+
+# ---- chunks ------------------------------------------------------------------------------------------
+
+
+# what is not counted of a chunk, and what is, where that is as many rows as below
+_BURN_S, _LENGTH_S = 0.5, 2.0
+_BURN, _LENGTH = (30, 300), (60, 600)  # fewest and most rows
+_BLOCK_S = 0.5  # of a cluster of the robust covariance, at least
+_FEWEST_BLOCKS = 20
+
+
+@final
+class Chunks:
+    """The rows of some steps as chunks that overlap, (rows of a chunk, chunks, columns).
+
+    Each chunk begins `burn` rows before those that it counts, where its filter starts from the measured row: what a
+    filter knew long ago it has forgotten. Chunks advance side by side, so that a pass over a log of any length takes as
+    many steps as one chunk is long.
+
+    Args:
+        late: Rows after the start of a stretch that are not counted either: there, a state that no sensor measures is
+            known from what came later.
+        every: Rows from one measurement of the slowest sensor to the next.
+
+    Attributes:
+        y: Measured states (T, C, nx).
+        u: Inputs held from each row on (T, C, nu).
+        t: Logged time of each row (T, C) [s].
+        counted: Whether the innovation of a row is part of the likelihood (T, C).
+        stretch: Number of the stretch of each chunk (C,).
+        row: Number of the step that starts at each row (T, C); of a last row, that of the one before.
+        since: Rows since the start of the stretch (T, C).
+        parts: Ranges of rows of a chunk that are one block of time each.
+    """
+
+    def __init__(self, steps: Steps, *, late: int = 0, every: int = 1) -> None:
+        h = steps.dt
+        # with states that no sensor measures, or not in each row, a filter remembers for longer
+        slower = 2.0 if late or every > 1 else 1.0
+        burn, length = (
+            int(slower * np.clip(round(seconds / h), *rows))
+            for seconds, rows in ((_BURN_S, _BURN), (_LENGTH_S, _LENGTH))
+        )
+        longest = max(b - a + 1 for a, b in steps.segments)
+        size = min(burn + length, longest)
+        first, counted, last, owners, stretch = [], [], [], [], []
+        for number, ((a, b), owner) in enumerate(zip(steps.segments, steps.runs, strict=True)):
+            done, end = a + 1, b + 1  # rows of a stretch: one more than its steps
+            while done < end:
+                start = max(a, min(done - burn, end - size))
+                own = np.arange(start, start + size)
+                counted.append((own >= max(done, a + 1 + late)) & (own < end))
+                first.append(start)
+                last.append(b)
+                owners.append(owner)
+                stretch.append(number)
+                done = start + size
+        begun, end_of = np.array(first), np.array(last)
+        rows = begun[None, :] + np.arange(size)[:, None]
+        ended = rows >= end_of[None, :]
+        step = np.where(ended, end_of[None, :] - 1, rows)
+        self.row = torch.from_numpy(step)
+        self.since = torch.from_numpy(rows - np.array([steps.segments[s][0] for s in stretch]))
+        self.y = torch.where(torch.from_numpy(ended)[..., None], steps.seen1[self.row], steps.seen0[self.row])
+        self.u, self.t = steps.u[self.row], steps.t[self.row]
+        self.counted = torch.from_numpy(np.array(counted).T.copy())
+        total = int(self.counted.sum()) * h
+        block = max(1, round(min(max(_BLOCK_S, 0.01 * total), total / _FEWEST_BLOCKS) / h))
+        pieces = max(1, round(size / block))
+        self.parts = [(size * p // pieces, size * (p + 1) // pieces) for p in range(pieces)]
+        self.size, self.count = size, len(first)
+        self._owners, self.stretch = torch.tensor(owners), torch.tensor(stretch)
+
+    @property
+    def follows(self) -> Tensor:
+        """Whether the chunk before each holds its first row (C,): not of the first of a stretch."""
+        row = self.row[0].diff(prepend=self.row[0, :1])
+        return self.stretch.diff(prepend=self.stretch[:1] - 1).eq(0) & (row >= 0) & (row < self.size)
+
+    def in_turn(self, values: Tensor) -> Tensor:
+        """Values (T, C, k) at the first row of each chunk, from the one before it (C, k); of the first its own."""
+        before = (torch.arange(self.count) - 1).clamp_min(0)
+        return values[torch.where(self.follows, self.row[0] - self.row[0, before], 0), before]
+
+    def some(self, which: Tensor) -> "Chunks":
+        """Some of the chunks, by number."""
+        out = copy.copy(self)
+        out.row, out.since, out.y, out.u, out.t, out.counted = (
+            part[:, which] for part in (self.row, self.since, self.y, self.u, self.t, self.counted)
+        )
+        out._owners, out.stretch = self._owners[which], self.stretch[which]
+        out.count = len(which)
+        return out
+
+    def cut(self, values: Tensor) -> Tensor:
+        """Values of steps (N, k) at the rows of the chunks (T, C, k)."""
+        return values[self.row]
+
+    def blocks(self, values: Tensor) -> Array:
+        """Those blocks of (parts, C, ...) in which any row counts (B, ...)."""
+        live = torch.stack([self.counted[a:b].any(0) for a, b in self.parts])
+        return np.asarray(values[live].numpy())
+
+    def places(self) -> tuple[Labels, Labels]:
+        """Number of the run of each block, and of the step that it begins with (B,), in the order of `blocks`."""
+        count = len(self.parts)
+        begun = self.row[[a for a, _ in self.parts]]  # of a block with the last row alone: the last step
+        owners, firsts = self.blocks(self._owners.expand(count, -1)), self.blocks(begun)
+        return owners.astype(np.int64), firsts.astype(np.int64)

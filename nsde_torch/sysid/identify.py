@@ -31,8 +31,8 @@ from nsde_torch.data import Run
 from nsde_torch.data.system_info import rate_pairs
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
 from nsde_torch.inference import LogLikelihood, Optimum, maximised, nearly_maximised
+from nsde_torch.inference.estimate import filtered_at
 from nsde_torch.inference.levels import Levels
-from nsde_torch.inference.states import filtered_at
 from nsde_torch.inference.steps import inferred_columns
 from nsde_torch.sysid.feedback_test import FeedbackTest, tested
 from nsde_torch.sysid.guard import LENGTHS_S, LONGER, asks_for_longer_boxes, guarded

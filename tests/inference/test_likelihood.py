@@ -8,12 +8,10 @@ import torch
 
 from nsde_torch.arrays import Array
 from nsde_torch.data import Run
-from nsde_torch.inference import LogLikelihood, chunks, kernels, log_likelihood
-from nsde_torch.inference.chunks import Chunks
+from nsde_torch.inference import LogLikelihood, kernels, log_likelihood, steps
 from nsde_torch.inference.estimate import maximised
 from nsde_torch.inference.lanes import WIDTH
-from nsde_torch.inference.low_pass import low_passed
-from nsde_torch.inference.steps import steps_of
+from nsde_torch.inference.steps import Chunks, low_passed, steps_of
 from nsde_torch.systems import make_system
 from tests.helpers.diagnosed import recorded
 from tests.inference.springs import (
@@ -118,7 +116,7 @@ def test_cutting_a_long_run_into_chunks_changes_little(
         return near, near - far
 
     cut, told_cut = both()
-    monkeypatch.setattr(chunks, "_LENGTH", (len(runs[0]), len(runs[0])))
+    monkeypatch.setattr(steps, "_LENGTH", (len(runs[0]), len(runs[0])))
     whole, told_whole = both()
     # what the filter was told before a chunk: some tenths of a nat of ten thousand
     assert cut != whole

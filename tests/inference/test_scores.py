@@ -20,8 +20,8 @@ from nsde_torch.inference import (
 )
 from nsde_torch.inference.filtering import Linearisation, Pass, filtered, with_gains
 from nsde_torch.inference.force_scores import force_scores
-from nsde_torch.inference.level_slopes import level_slopes, score
 from nsde_torch.inference.levels import Levels
+from nsde_torch.inference.maximum import level_slopes, score
 from nsde_torch.inference.sensitivity import grams, inverted
 from nsde_torch.systems import make_system
 from tests.helpers.diagnosed import recorded

@@ -8,22 +8,15 @@ gusts, which are others than those of the flights that were diagnosed.
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from nsde_torch.design.options import DesignOptions
 from nsde_torch.diagnosis.decisions import Options
-from nsde_torch.whole_files import json_text
 
-from ..hydra_command import Config, HydraCommand, Job, say
+from ..hydra_command import Config, HydraCommand, Job
 from ..keys import group, key, of
 from ..schemas import FlownPlantConfig, LimitsConfig, LinkConfig, MpcConfig, ReferenceConfig
-
-SETTINGS = "settings.json"
-_FREE = ("out_dir", "threads", "experiments", "truth", "link", "limits")
-"""Keys that another start on the same folder may have otherwise."""
 
 
 @dataclass
@@ -96,63 +89,6 @@ COMMAND = HydraCommand(
 
 def run(config: Config, job: Job) -> float | None:
     """Fly, diagnose, experiment, fly again; RMSE of the position after over before, None where it is not known."""
-    from ..closed_loop.loop import AFTER, BEFORE, DIAGNOSIS, LOG, TRUTH, ClosedLoop
-    from ..closed_loop.record import PICTURE, RESULT, picture, record, text
+    from ..closed_loop import close_loop
 
-    _check(config)
-    _same_settings(config, job.run_dir)
-    loop = ClosedLoop(config, job.run_dir)
-    if config.reference.check:
-        loop.check()
-    waiting = loop.fly_logged()
-    if waiting is not None:
-        say(waiting.sentence)
-        return None
-    experiments, stop = loop.find()
-    if stop is None or stop.kind != "waiting":
-        loop.compare()
-    content = record(loop, experiments, stop)
-    (job.run_dir / RESULT).write_text(json_text(content), encoding="utf-8")
-    drawn = picture(loop, job.run_dir)
-    print()
-    print(text(content))
-    flown = [f"{s}/" for s in (LOG, BEFORE, AFTER, TRUTH) if (job.run_dir / s).is_dir()]
-    planned = [f"experiment_{e['number']}/" for e in experiments]
-    wrote = [RESULT, *([PICTURE] if drawn else []), f"{DIAGNOSIS}/", *planned, *flown]
-    print(f"\n{job.took}; wrote {job.run_dir}: {', '.join(wrote)}")
-    ratio: float | None = content["ratio"]
-    return ratio
-
-
-def _check(config: Config) -> None:
-    """Refuse what no loop flies."""
-    from nsde_torch.errors import ConfigError
-    from nsde_torch.systems import Multirotor
-    from nsde_torch.systems.registry import system_class
-
-    name, simulated = config.plant.system, config.plant.kind == "simulated"
-    if not simulated or name is None or not issubclass(system_class(name), Multirotor):
-        raise ConfigError("`nsde close-loop` flies plant=hexacopter or plant=quadrotor.")
-    if config.truth and config.by not in ("vehicle", "plant"):
-        raise ConfigError(
-            f"`truth` is known of simulated machines alone (by=vehicle, by=plant); by={config.by} flies another."
-        )
-
-
-def _same_settings(config: Config, folder: Path) -> None:
-    """Refuse a folder with what is of another configuration."""
-    from nsde_torch.errors import ConfigError
-
-    from .. import build
-
-    settings: dict[str, Any] = {k: v for k, v in build.options(config).items() if k not in _FREE}
-    file = folder / SETTINGS
-    if file.is_file():
-        before = json.loads(file.read_text(encoding="utf-8"))
-        other = sorted(k for k in {*before, *settings} if before.get(k) != settings.get(k))
-        if other:
-            raise ConfigError(
-                f"`out_dir={folder}` holds a closed loop with other settings ({', '.join(other)}): give those of "
-                f"{file} to go on with it, or name another folder."
-            )
-    file.write_text(json.dumps(settings, indent=1), encoding="utf-8")
+    return close_loop(config, job)

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from nsde_torch.cli.closed_loop import experiments, loop, machines
-from nsde_torch.cli.closed_loop.machines import VirtualVehicle
+from nsde_torch.cli import closed_loop
+from nsde_torch.cli.closed_loop import VirtualVehicle
 from nsde_torch.cli.main import main
 from nsde_torch.control.reference import FlightPath
 from nsde_torch.design import designing
@@ -69,7 +69,7 @@ def test_flights_before_and_after_are_compared_and_nothing_finished_is_done_agai
     def refuse(*arguments: Any, **options: Any) -> None:
         raise AssertionError("flown again")
 
-    monkeypatch.setattr(machines, "fly_simulated", refuse)
+    monkeypatch.setattr(closed_loop, "fly_simulated", refuse)
     assert main(["close-loop", *SHORT]) == 0
     assert json.loads(Path("out/close_loop.json").read_text()) == content
     assert "holds a closed loop with other settings" in refused("close-loop", *SHORT, "seed=1")
@@ -114,7 +114,7 @@ def test_a_tie_is_asked_of_an_experiment_and_the_record_has_nats_expected_and_ob
         if not out.exists():
             _open(out, ties=[], warnings=[], data={"runs": sorted(log.stem for log in logs.glob("*.csv"))})
 
-    monkeypatch.setattr(loop, "diagnose_logs", settled)
+    monkeypatch.setattr(closed_loop, "diagnose_logs", settled)
     monkeypatch.setattr(designing, "FINALISTS", 1)
     tied = [*TIED, "seed=2"]
     printed = shown("close-loop", *tied)
@@ -139,8 +139,8 @@ def test_a_tie_is_asked_of_an_experiment_and_the_record_has_nats_expected_and_ob
 
     # started again it does nothing anew, and by hand it would ask for the next log
     for name in ("design", "obtained"):
-        monkeypatch.setattr(experiments, name, refuse)
-    monkeypatch.setattr(machines, "fly_simulated", refuse)
+        monkeypatch.setattr(closed_loop, name, refuse)
+    monkeypatch.setattr(closed_loop, "fly_simulated", refuse)
     assert main(["close-loop", *tied]) == 0
     assert json.loads(Path("out/close_loop.json").read_text()) == content
 

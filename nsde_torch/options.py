@@ -4,13 +4,10 @@ An option is declared once, in the dataclass of the library that it belongs to:
 
     @documented
     @dataclass(frozen=True)
-    class Options:
+    class Options(Checked):
         steps: int = key(1000, "largest number of gradient steps", unit="steps", low=1)
 
-        def __post_init__(self) -> None:
-            check(type(self), vars(self))
-
-`documented` lists the options in the docstring, `check` refuses values out of range, and the command line makes its
+`documented` lists the options in the docstring, `Checked` refuses values out of range, and the command line makes its
 keys of the same fields: names and types (OmegaConf), ranges, `--help`, the nearest key when one is mistyped.
 """
 
@@ -143,6 +140,13 @@ def check(schema: type, values: Mapping[str, Any], prefix: str = "") -> None:
                 raise ConfigError(f"`{prefix}{entry.path}` must have fewer than 19 digits; got {item!r}.")
             if not _allowed(entry, item):
                 raise ConfigError(f"`{prefix}{entry.path}` must be {entry.allowed}; got {item!r}.")
+
+
+class Checked:
+    """Base of options that are checked when they are made (`check`)."""
+
+    def __post_init__(self) -> None:
+        check(type(self), vars(self))
 
 
 def _allowed(entry: Key, value: Any) -> bool:

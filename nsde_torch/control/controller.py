@@ -103,18 +103,9 @@ class Planner(Protocol):
     def hovering(self) -> Plan:
         """A plan that hovers."""
 
-    def plan(
-        self,
-        x: Tensor,
-        reference: Tensor,
-        before: Plan | None = None,
-        *,
-        elapsed: float = 0.0,
-        last: Tensor | None = None,
-        push: Tensor | None = None,
-        memory: Tensor | None = None,
-    ) -> Plan:
-        """Plan from measured states; see `Controller.plan`."""
+    @property
+    def plan(self) -> Callable[..., Plan]:
+        """See `Controller.plan`."""
 
 
 class Foresight(Protocol):

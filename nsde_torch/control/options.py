@@ -8,7 +8,7 @@ from math import inf
 from typing import Any
 
 from nsde_torch.errors import ConfigError
-from nsde_torch.options import check, documented, key
+from nsde_torch.options import Checked, check, documented, key
 
 STATE_WEIGHTS = (100.0, 100.0, 200.0, 5.0, 5.0, 10.0, 1.0, 1.0, 100.0, 1.0, 1.0, 1.0)  # the supplement's Q
 PerInput = float | Sequence[float]
@@ -89,7 +89,7 @@ def _numbers(name: str, given: object) -> float | tuple[float, ...]:
 
 @documented
 @dataclass(frozen=True)
-class SolverOptions:
+class SolverOptions(Checked):
     """How plans are found."""
 
     name: str = key("gauss_newton", "how plans are found", choices=("gauss_newton", "apg"))
@@ -110,13 +110,10 @@ class SolverOptions:
         None, "folder that keeps it; null: NSDE_CACHE or the user's cache folder", file=True
     )
 
-    def __post_init__(self) -> None:
-        check(type(self), vars(self))
-
 
 @documented
 @dataclass(frozen=True)
-class SafetyOptions:
+class SafetyOptions(Checked):
     """When a controller rejects a state or a plan, and for how long it flies on."""
 
     jump: float = key(0.75, "step of the measured position that is not accepted at once", unit="m", above=0)
@@ -127,13 +124,10 @@ class SafetyOptions:
     )
     quaternion: float = key(0.05, "largest departure of a quaternion's norm from 1", above=0)
 
-    def __post_init__(self) -> None:
-        check(type(self), vars(self))
-
 
 @documented
 @dataclass(frozen=True)
-class EstimatorOptions:
+class EstimatorOptions(Checked):
     """What is known of times, and how fast pushes are learned in flight."""
 
     latency: float = key(
@@ -149,13 +143,10 @@ class EstimatorOptions:
     force_limit: float = key(4.0, "largest push on the force", unit="m/s2", above=0)
     moment_limit: float = key(20.0, "largest push on the moment", unit="rad/s2", above=0)
 
-    def __post_init__(self) -> None:
-        check(type(self), vars(self))
-
 
 @documented
 @dataclass(frozen=True)
-class CircleOptions:
+class CircleOptions(Checked):
     """A circle at constant speed, while the heading turns and comes back."""
 
     speed: float = key(3.6, "speed after the start", unit="m/s", above=0)
@@ -168,7 +159,7 @@ class CircleOptions:
 
 @documented
 @dataclass(frozen=True)
-class LemniscateOptions:
+class LemniscateOptions(Checked):
     """A figure of eight (Gerono's lemniscate), while the heading oscillates."""
 
     speed: float = key(3.4, "largest speed, where the branches cross", unit="m/s", above=0)
@@ -182,7 +173,7 @@ class LemniscateOptions:
 
 @documented
 @dataclass(frozen=True)
-class HoverOptions:
+class HoverOptions(Checked):
     """Standing still."""
 
     duration: float = key(10.0, "how long", unit="s", above=0)
@@ -192,7 +183,7 @@ class HoverOptions:
 
 @documented
 @dataclass(frozen=True)
-class SetpointOptions:
+class SetpointOptions(Checked):
     """A state to reach and to hold, of any machine."""
 
     duration: float = key(10.0, "how long", unit="s", above=0)
@@ -200,7 +191,7 @@ class SetpointOptions:
 
 @documented
 @dataclass(frozen=True)
-class WaypointOptions:
+class WaypointOptions(Checked):
     """How a path through points is flown where times are not given."""
 
     speed: float = key(2.0, "largest speed, where times are not given", unit="m/s", above=0)

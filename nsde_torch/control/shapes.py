@@ -21,8 +21,6 @@ from nsde_torch.data.csv_folder import csv_rows
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.systems.multirotor import GRAVITY
 
-_CIRCLE, _LEMNISCATE, _HOVER = CircleOptions(), LemniscateOptions(), HoverOptions()
-
 
 def _phase(duration: float, ramp: float, rate: float) -> Array:
     """f, f', f'' (3, n) on the grid: from rest to `rate` [rad/s], and back to rest, over `ramp` [s] each."""
@@ -39,13 +37,7 @@ def _phase(duration: float, ramp: float, rate: float) -> Array:
     return np.stack((rate * f, rate * rise, rate * slope))
 
 
-def _check(name: str, **positive: float) -> None:
-    wrong = {k: v for k, v in positive.items() if not v > 0}
-    if wrong:
-        raise ConfigError(
-            f"reference {name!r}: {', '.join(f'`{k}`={v:g}' for k, v in wrong.items())} must be above 0."
-        )
-    duration, ramp = positive["duration"], positive.get("ramp", 0.0)
+def _check_ramps(name: str, duration: float, ramp: float) -> None:
     if duration < 2.0 * ramp:
         raise ConfigError(
             f"reference {name!r}: `duration`={duration:g} s is shorter than two ramps of {ramp:g} s. Give "
@@ -53,65 +45,49 @@ def _check(name: str, **positive: float) -> None:
         )
 
 
-def circle(
-    *,
-    speed: float = _CIRCLE.speed,
-    duration: float = _CIRCLE.duration,
-    radius: float = _CIRCLE.radius,
-    height: float = _CIRCLE.height,
-    yaw: float = _CIRCLE.yaw,
-    ramp: float = _CIRCLE.ramp,
-) -> FlightPath:
-    """A circle at constant speed, while the heading turns once to `yaw` and back; see `CircleOptions`.
+def circle(**sizes: float) -> FlightPath:
+    """A circle at constant speed, while the heading turns once to `yaw` and back, of the sizes of `CircleOptions`.
 
-    ConfigError: a size is not positive, or the flight is shorter than its two ramps.
+    ConfigError: a size is out of its range, or the flight is shorter than its two ramps.
     """
-    _check("circle", speed=speed, duration=duration, radius=radius, ramp=ramp)
-    f, df, ddf = _phase(duration, ramp, speed / radius)
+    o = CircleOptions(**sizes)
+    _check_ramps("circle", o.duration, o.ramp)
+    f, df, ddf = _phase(o.duration, o.ramp, o.speed / o.radius)
     c, s, zero = np.cos(f), np.sin(f), np.zeros_like(f)
-    p = np.stack((radius * c, radius * s, zero + height), 1)
-    v = np.stack((-radius * s * df, radius * c * df, zero), 1)
-    a = radius * np.stack((-c * df**2 - s * ddf, -s * df**2 + c * ddf, zero), 1)
+    p = np.stack((o.radius * c, o.radius * s, zero + o.height), 1)
+    v = np.stack((-o.radius * s * df, o.radius * c * df, zero), 1)
+    a = o.radius * np.stack((-c * df**2 - s * ddf, -s * df**2 + c * ddf, zero), 1)
     share = np.linspace(0.0, 1.0, len(f))
-    heading = np.deg2rad(yaw) * 0.5 * (1.0 - np.cos(2.0 * np.pi * share))
-    sizes = {"speed": speed, "radius": radius, "height": height, "yaw": yaw}
-    return FlightPath("circle", GRID, p, v, a, heading, {**sizes})
+    heading = np.deg2rad(o.yaw) * 0.5 * (1.0 - np.cos(2.0 * np.pi * share))
+    return FlightPath("circle", GRID, p, v, a, heading, _about(o))
 
 
-def lemniscate(
-    *,
-    speed: float = _LEMNISCATE.speed,
-    duration: float = _LEMNISCATE.duration,
-    length: float = _LEMNISCATE.length,
-    width: float = _LEMNISCATE.width,
-    height: float = _LEMNISCATE.height,
-    yaw: float = _LEMNISCATE.yaw,
-    ramp: float = _LEMNISCATE.ramp,
-) -> FlightPath:
-    """A figure of eight (Gerono's lemniscate), while the heading oscillates; see `LemniscateOptions`.
+def lemniscate(**sizes: float) -> FlightPath:
+    """A figure of eight (Gerono's lemniscate), while the heading oscillates, of the sizes of `LemniscateOptions`.
 
-    ConfigError: a size is not positive, or the flight is shorter than its two ramps.
+    ConfigError: a size is out of its range, or the flight is shorter than its two ramps.
     """
-    _check("lemniscate", speed=speed, duration=duration, length=length, width=width, ramp=ramp)
-    f, df, ddf = _phase(duration, ramp, speed / float(np.hypot(length, width)))
+    o = LemniscateOptions(**sizes)
+    _check_ramps("lemniscate", o.duration, o.ramp)
+    f, df, ddf = _phase(o.duration, o.ramp, o.speed / float(np.hypot(o.length, o.width)))
     c, s, c2, s2, zero = np.cos(f), np.sin(f), np.cos(2 * f), np.sin(2 * f), np.zeros_like(f)
-    p = np.stack((length * s, 0.5 * width * s2, zero + height), 1)
-    v = np.stack((length * c * df, width * c2 * df, zero), 1)
-    a = np.stack((length * (c * ddf - s * df**2), width * (c2 * ddf - 2.0 * s2 * df**2), zero), 1)
-    heading = np.deg2rad(yaw) * np.sin(2.0 * np.pi * np.linspace(0.0, 3.0, len(f)))
-    sizes = {"speed": speed, "length": length, "width": width, "height": height, "yaw": yaw}
-    return FlightPath("lemniscate", GRID, p, v, a, heading, {**sizes})
+    p = np.stack((o.length * s, 0.5 * o.width * s2, zero + o.height), 1)
+    v = np.stack((o.length * c * df, o.width * c2 * df, zero), 1)
+    a = np.stack((o.length * (c * ddf - s * df**2), o.width * (c2 * ddf - 2.0 * s2 * df**2), zero), 1)
+    heading = np.deg2rad(o.yaw) * np.sin(2.0 * np.pi * np.linspace(0.0, 3.0, len(f)))
+    return FlightPath("lemniscate", GRID, p, v, a, heading, _about(o))
 
 
-def hover(
-    *, duration: float = _HOVER.duration, height: float = _HOVER.height, yaw: float = _HOVER.yaw
-) -> FlightPath:
-    """Standing still; see `HoverOptions`."""
-    _check("hover", duration=duration)
-    n = round(duration / GRID) + 1
-    zero, heading = np.zeros((n, 3)), np.full(n, np.deg2rad(yaw))
-    p = zero + np.array([0.0, 0.0, height])
-    return FlightPath("hover", GRID, p, zero, zero, heading, {"height": height, "yaw": yaw})
+def hover(**sizes: float) -> FlightPath:
+    """Standing still, of the sizes of `HoverOptions`. ConfigError: a size is out of its range."""
+    o = HoverOptions(**sizes)
+    n = round(o.duration / GRID) + 1
+    zero, heading = np.zeros((n, 3)), np.full(n, np.deg2rad(o.yaw))
+    return FlightPath("hover", GRID, zero + np.array([0.0, 0.0, o.height]), zero, zero, heading, _about(o))
+
+
+def _about(o: CircleOptions | LemniscateOptions | HoverOptions) -> dict[str, object]:
+    return {name: value for name, value in vars(o).items() if name not in ("duration", "ramp")}
 
 
 # Paths through points by minimum snap: of all paths through the points at their times, that of least integral

@@ -19,7 +19,7 @@ from nsde_torch.effects import Port
 from nsde_torch.inference.estimate import LogLikelihood
 from nsde_torch.inference.filtering import linearised_about
 from nsde_torch.inference.levels import Levels
-from nsde_torch.inference.sensitivity import grams
+from nsde_torch.inference.sensitivity import bounded_step, grams
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
 
@@ -29,7 +29,6 @@ _SHORTEST = 0.01  # of a step that made the density less
 _PASSES = 3  # until the states that a filter is linearised about have settled
 _AGAIN = 2  # the same from the states of values close by
 _ROWS = 60_000  # that are worked on at once: further ones only take memory
-_ROOM = 1e-10  # of the information: a parameter without any stays where it is
 
 
 @dataclass(frozen=True)
@@ -166,18 +165,9 @@ class Posteriors:
         return here.half_square - float(here.slope @ step - 0.5 * step @ here.information @ step)
 
     def step(self, here: Posterior) -> Array:
-        """Step of Gauss and Newton (k,), without what would leave the bounds."""
-        free = np.ones(len(here.theta), dtype=bool)
-        room = here.information + np.diag(_ROOM * np.maximum(np.diag(here.information), 1e-12))
-        for _ in range(len(free)):
-            step = np.zeros(len(free))
-            step[free] = np.linalg.solve(room[np.ix_(free, free)], here.slope[free])
-            kept = self.vector.inside(here.theta + step) - here.theta
-            stuck = free & (np.abs(kept) < 1e-3 * np.abs(step)) & (step != 0)
-            if not stuck.any():
-                break
-            free &= ~stuck
-        return step
+        """Step of Gauss and Newton (k,) between the bounds; a parameter without information stays where it is."""
+        low, high = (end - here.theta for end in self.vector.reach(here.theta))
+        return bounded_step(here.information, here.slope, 0.0, low, high)
 
 
 def _batches(problems: Sequence[LogWithPrior]) -> list[slice]:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-from nsde_torch.options import REQUIRED, check, documented, key
+from nsde_torch.options import REQUIRED, Checked, documented, key
 
 _LAG = "learn a lag or a delay of the inputs where the data show one that is not declared (loss=default)"
 _FEEDBACK = (
@@ -13,15 +13,12 @@ _FILTER = "taps on each side of the learned input filter; null: as the log's smo
 
 
 @dataclass(frozen=True)
-class ModelOptions:
+class ModelOptions(Checked):
     """What every kind of model has."""
 
     home: ClassVar[str] = ""  # where the kind of the package lies whose options these are, `module:Class`
 
     kind: str = key(REQUIRED, "kind of the model, set by model=")
-
-    def __post_init__(self) -> None:
-        check(type(self), vars(self))
 
 
 @documented

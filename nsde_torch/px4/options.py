@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from math import radians
 
 from nsde_torch.errors import ConfigError
-from nsde_torch.options import check, documented, key
+from nsde_torch.options import Checked, check, documented, key
 from nsde_torch.px4.link.vectors import Vec
 
 
 @documented
 @dataclass(frozen=True)
-class FlightOptions:
+class FlightOptions(Checked):
     """How a flight goes."""
 
     height: float = key(1.5, "height of take-off", unit="m", above=0)
@@ -47,9 +47,6 @@ class FlightOptions:
         10.0, "silence after which the link is called dead, and no longer waited on", unit="s", low=1
     )
     watch: float = key(40.0, "how long a vehicle that is not ours any more is watched", unit="s", low=0)
-
-    def __post_init__(self) -> None:
-        check(type(self), vars(self))
 
 
 @documented

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
-from nsde_torch.options import check, documented, key
+from nsde_torch.options import Checked, documented, key
 
 if TYPE_CHECKING:
     from nsde_torch.sde.step import Step
@@ -13,15 +13,12 @@ if TYPE_CHECKING:
 
 @documented
 @dataclass(frozen=True)
-class IntegratorOptions:
+class IntegratorOptions(Checked):
     """An integrator by name."""
 
     name: str | None = key(
         None, "name of the integrator, set by solver=, or module:Class of your own; null: the system's own"
     )
-
-    def __post_init__(self) -> None:
-        check(type(self), vars(self))
 
     @property
     def settings(self) -> dict[str, Any]:

@@ -100,8 +100,6 @@ def rehearse(
     Args:
         tables: Plans (P, N, m).
         count: Rehearsals of each plan; the parameters are drawn for each.
-        drive: Makes the inputs of a batch of tables.
-        draw: Draws the parameters, the fitted ones first.
     """
     member, plans = members[truth], len(tables)
     whole, thetas = np.repeat(tables, count, 0), draw(member, count + 1, rng)[1:]

@@ -137,16 +137,13 @@ class MaximumLikelihood:
     def worst(self, driven: Array) -> float:
         """How far the innovations are from what they should be, in what `misfit` allows; nan where it diverged.
 
-        Args:
-            driven: Weights of the channels (m,). Of one whose innovations are nearly all sensor noise little is known
-                of the physics, whatever that noise is like: velocities that were worked out of positions 1000 times as
-                precise (the published flights).
+        Channels weigh by `driven` (m,): of one whose innovations are nearly all sensor noise little is known of the
+        physics, whatever that noise is like (velocities from positions 1000 times as precise, the published flights).
         """
         off = np.maximum(np.abs(self.square - 1.0) / _LARGE, self.predictable / _WHITE)
         return float((driven * off).max())
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain containers, for JSON."""
         system = self.vector.system
         units = dict(zip(system.state_names, system.state_units, strict=True))  # of an attitude's errors: rad
         columns = [f"{port.value}[{j}]" for port, j in self.disturbances]
@@ -239,11 +236,7 @@ class LogLikelihood:
         self._set(system, steps, chunks, disturbances)
 
     def of(self, system: System, estimates: tuple[str, ...] | None = None) -> "LogLikelihood":
-        """That of the same rows under other physics of the machine, which is disturbed on the same ports.
-
-        Args:
-            estimates: Names of the effects whose memory is a state of the filter; None: of all that ask for it.
-        """
+        """That of the same rows under other physics of the machine, disturbed on the same ports; see `StateSpace`."""
         out = copy.copy(self)
         out._set(system, self.space.steps, self.space.chunks, self.space.disturbances, estimates)
         out.space.measured = self.space.measured  # without the same outliers
@@ -388,12 +381,7 @@ class LogLikelihood:
 
 @torch.no_grad()
 def log_likelihood(system: System, runs: Sequence[Run], *, levels: Levels, clock: float = 1.0) -> float:
-    """Log likelihood of some runs under a machine with its present values and noise levels [nats].
-
-    Args:
-        runs: Recordings, all on one step.
-        clock: Physical seconds per logged second.
-    """
+    """Log likelihood of some runs under a machine with its present values and noise levels [nats]."""
     problem = LogLikelihood(system, runs, clock)
     _, about = problem.first(problem.vector.start)
     return problem.settled(levels, about, problem.filtered(levels, about), _PASSES)[1].total

@@ -111,12 +111,10 @@ def _first(space: StateSpace, x: Tensor, start: Start) -> tuple[Tensor, Tensor]:
 
 
 def forced(space: StateSpace, about: Linearisation, disturbance: int, force: Tensor) -> Tensor:
-    """What forces do to the steps (T, C, ne, ...).
+    """What forces (T, C, ...) that act where a disturbance does do to the steps (T, C, ne, ...).
 
-    Args:
-        disturbance: Number of the disturbance that acts where the force does.
-        force: The force in the middle of the step from each row (T, C, ...), given what is known at its start
-            (`StateSpace.midway`): a force of the state or the input after it would explain what was just measured.
+    They are those in the middle of the step from each row, given what is known at its start (`StateSpace.midway`): a
+    force of the state or the input after it would explain what was just measured.
     """
     slopes = about.slopes[..., space.ne + disturbance]
     return space.passed(slopes.view(*slopes.shape, *(1,) * (force.dim() - 2)) * force[:, :, None])
@@ -133,8 +131,7 @@ def filtered(
 ) -> Pass:
     """Filter chunks whose `live` rows (T, C) count.
 
-    Args:
-        covariances: With how many of the last channels those of all are kept; `level_slopes` takes the disturbances'.
+    Covariances with so many of the last channels are kept; `level_slopes` takes those with the disturbances.
     """
     rows, count, m = about.seen.shape
     n = space.n

@@ -91,9 +91,7 @@ class FunctionScores:
 def directions(information: Array, least: Array) -> tuple[Array, Labels]:
     """Sums of functions (q', q) whose scores are independent and of unit information, and with which each begins (q',).
 
-    Args:
-        information: Of the functions (q, q).
-        least: What has to be left of each beside those before it (q,).
+    Of functions of some information (q, q), of which `least` (q,) has to be left beside those before.
     """
     turns, kept = list[Array](), list[int]()
     for j in range(len(information)):

@@ -108,12 +108,10 @@ class Scale:
 def functions(
     of: Sequence[str], kind: Kind, values: Mapping[str, Array], scaled: Mapping[str, Scale]
 ) -> Array:
-    """Values (n, q) of the functions of a group.
+    """Values (n, q) of the functions of a group at values of the variables (n,).
 
-    Args:
-        kind: `polynomial`, `signed` (sign of one, size, and square with its sign; of two, each times the size of the
-            other), `product` of both, `smooth`, `fine`, or `varying`: waves of the first one times the second.
-        values: Values of the variables (n,).
+    Kinds are `polynomial`, `signed` (sign of one, size, and square with its sign; of two, each times the size of the
+    other), `product` of both, `smooth`, `fine`, and `varying`: waves of the first one times the second.
     """
     if kind in EXTENDED:
         plain = [values[name] / scaled[name].size for name in of]

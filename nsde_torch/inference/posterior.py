@@ -100,12 +100,7 @@ class Posteriors:
         return out
 
     def cross_information(self, log: LogWithPrior, other: System, run_in: bool) -> Array:
-        """Shared information of a log on parameters here and on those of another machine (k, k_other).
-
-        Args:
-            log: The log; its centre is where the parameters here are.
-            run_in: See `modes`.
-        """
+        """Shared information of a log, about its centre, on parameters here and of another machine (k, k_other)."""
         of = self.likelihood(log.runs, run_in)
         beside = of.of(other, of.space.estimates).space
         of.space.use(log.centre)

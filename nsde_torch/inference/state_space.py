@@ -32,11 +32,7 @@ _SHARE = 1e-5
 
 
 def disturbances_of(system: System, t: Tensor, x: Tensor, u: Tensor) -> tuple[tuple[Port, int], ...]:
-    """Columns of the ports on which the machine is disturbed; of those that push alike, the first.
-
-    Args:
-        t, x, u: Some of the log's rows (N,), (N, nz), (N, nu).
-    """
+    """Columns of the ports on which the machine is disturbed; of those that push alike in rows (N, ...), the first."""
     ports = system.disturbed_ports or tuple(p for p in system.ports if p not in (Port.INPUT, Port.RATE))
     rate = system.drift(t, x, u)[:, : system.nx]
     kept: list[tuple[Port, int]] = []
@@ -313,11 +309,7 @@ class StateSpace:
         return slopes.view(*x.shape[:2], self.ne, self.n), after
 
     def _pushed_by(self, x: Tensor, t: Tensor, memory: Tensor, u: Tensor, which: Sequence[int]) -> Tensor:
-        """What a step does (N, ne, k) per error of the state, or per force of a disturbance, at the rates of rows.
-
-        Args:
-            which: Numbers of the errors, and behind them of the disturbances.
-        """
+        """What a step does (N, ne, k) per error of the state, or per force of a disturbance, numbered behind."""
         system, q = self.vector.system, self.vector.system.quaternion
         base = _error_rate(system, x, self.rate(t, x, memory, u))
         out = x.new_empty(len(which), self.ne, len(x))

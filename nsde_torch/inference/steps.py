@@ -100,8 +100,6 @@ def steps_of(
     """Cut runs into steps.
 
     Args:
-        runs: Its runs, all on one step.
-        clock: Physical seconds per logged second.
         smooth: Whether white sensor noise is taken out of the states and of their changes.
         shortest: Segments of fewer steps are left out.
         denoise: Whether it is taken out of the states alone, at which physics is evaluated.
@@ -176,11 +174,7 @@ def _run_in(run: Run, a: int, b: int, lead: int, most: int) -> tuple[int, int]:
 
 
 def inferred_columns(system: System, runs: Sequence[Run]) -> dict[int, float]:
-    """Columns of rates that were inferred from positions, and what is not known of them.
-
-    Raises:
-        DataError: of some of the runs only.
-    """
+    """Columns of rates that were inferred from positions, and what is not known of them; DataError: in some runs."""
     names = {name for run in runs for name in run.inferred}
     lacking = [run.name for run in runs if set(run.inferred) != names]
     if lacking:
@@ -292,12 +286,9 @@ def band_of(runs: Sequence[Run]) -> dict[str, float]:
 
 
 def rows_apart(runs: Sequence[Run], band: Mapping[str, float], dt: float) -> dict[str, int]:
-    """Rows from one measurement of a state to the next, of states that are not measured anew in each row.
+    """Rows from one measurement to the next, of states that are not measured anew in each row.
 
-    Args:
-        runs: Runs, some states of which have noise that is correlated from row to row (`Run.apart`).
-        band: Frequencies up to which states hold what was measured [Hz].
-        dt: Step [s].
+    That is so of those with a `band` [Hz], and of those whose noise is correlated from row to row (`Run.apart`).
     """
     out = {name: max(1, round(1.0 / (hz * dt))) for name, hz in band.items()}
     for run in runs:
@@ -316,12 +307,9 @@ def low_passed_states(system: System, run: Run, clock: float) -> Array:
 
 
 def low_passed(values: Tensor, hz: float, dt: float, *, level: bool = False) -> Tensor:
-    """Values (n, ...) of one stretch below a frequency.
+    """Values (n, ...) of one stretch below a frequency [Hz].
 
-    Args:
-        hz: The frequency [Hz].
-        dt: Step [s].
-        level: Whether they go on beyond the ends as a line through these, as states do; else as they come, mirrored.
+    With `level` they go on beyond the ends as a line through these, as states do; else as they come, mirrored.
     """
     n, some = len(values), max(1, int(1.0 / (hz * dt)))
     around = min(n - 1, int(_AROUND / (hz * dt)))

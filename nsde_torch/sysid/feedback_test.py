@@ -268,7 +268,6 @@ class FeedbackTest:
         return out
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain containers, for JSON."""
         return {
             "closed_loop": self.closed_loop,
             "made_from_other_sensors": list(self.other_sensors),

@@ -88,7 +88,6 @@ class Compared:
         return moves < NOTHING * self.measured**2 or left > POOR**2 * moves
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain containers, for JSON."""
         return {k: v for k, v in asdict(self).items() if k not in ("name", "less", "noise")}
 
 
@@ -122,7 +121,6 @@ class Guarded:
         }
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain containers, for JSON."""
         return {
             "objections": [o.as_dict() for o in self.objections],
             "channels": {c.name: c.as_dict() for c in self.channels},
@@ -144,10 +142,8 @@ def guarded(
 ) -> Guarded:
     """Hold a fit against simple ones, and look for faults of the log that explain where they part.
 
-    Args:
-        theta: Other values that are printed (k,); None takes those of the regression.
-        covariance: Of these values (k, k); None for none.
-        first: First values (k,), as the fit may be far off; None takes those of the regression.
+    Values that are printed (k,), `theta` with its covariance (k, k), and first ones are those of the regression, unless
+    others are given.
     """
     vector = regression.vector
     first = vector.start if first is None else first

@@ -121,7 +121,6 @@ class Instrumented:
         return out
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain containers, for JSON."""
         half = self.half_widths(0.9)
         return {
             "used": list(self.names),

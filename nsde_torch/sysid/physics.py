@@ -361,7 +361,6 @@ class Channel:
     noise: Noise | None  # law of the noise over single steps; None where the method has none
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain containers, for JSON."""
         law = self.noise and {"carry": self.noise.carry, "order": len(self.noise.reflection)}
         return {
             "unit": self.unit,

@@ -94,10 +94,7 @@ def ends_of_response(
 ) -> list[Smoother | None]:
     """Of each sensor, by its columns, the smoother behind which it shows what the inputs do; None where it shows all.
 
-    Args:
-        runs: Runs in the rows in which they were logged.
-        sensors: Columns of the states that each of them measured.
-        clock: Physical seconds per logged second.
+    Runs are in the rows in which they were logged.
     """
     some = beginnings(runs, clock, seconds=_PART_S, fewest=_FEWEST * _SHORTEST)
     regression = rough_fit(system, some, clock, levels=False) if system.nu and sensors else None

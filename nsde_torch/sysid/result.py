@@ -157,7 +157,6 @@ class Identification:
         return out
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain containers, for JSON."""
         v, errors, half = self.vector, _finite(self.standard_errors), _finite(self.half_widths(0.95))
         each = {
             label: {

@@ -71,7 +71,6 @@ class Objection:
         return f"{self.sentence}; {self.remedy}"
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain containers, for JSON."""
         out = {**asdict(self), "channels": list(self.channels)}
         del out["share"]
         return out

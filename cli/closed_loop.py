@@ -55,6 +55,7 @@ from nsde_torch.px4.simulator.simulated import fly_simulated
 from nsde_torch.systems import Multirotor, System
 from nsde_torch.systems.machines import plant_effects
 from nsde_torch.systems.registry import system_class
+from nsde_torch.texts import rendered
 from nsde_torch.whole_files import json_text
 
 from . import build, fly_build, track_build
@@ -302,8 +303,7 @@ def run_experiments(loop: ClosedLoop) -> tuple[list[dict[str, Any]], StoppedLoop
         flight = place / FLIGHT  # nothing is measured where a person flew
         flown = json.loads(flight.read_text(encoding="utf-8")) if flight.is_file() else {}
         done.append(entry_of(place, number, plan, told, now, after, flown))
-        for line in experiment_lines(done[-1]):
-            say(line)
+        say(experiment_text(done[-1]))
     now = standing_of(loop.found)
     if now.settled:
         return done, settled(now)
@@ -510,35 +510,9 @@ def entry_of(
     }
 
 
-def experiment_lines(entry: Mapping[str, Any]) -> list[str]:
+def experiment_text(entry: Mapping[str, Any]) -> str:
     """What is printed of an experiment."""
-    told, question = entry["obtained"], entry["question"]
-    lines = [
-        f"experiment {entry['number']}: {asked(question)}",
-        f"  before: {entry['before']['words']}",
-        *(f"  plan: {w}" for w in entry["plan"]["words"]),
-    ]
-    if entry["flight"]["trouble"]:
-        lines.append(f"  the flight was not flown to its end: {entry['flight']['trouble']['text']}")
-    if question["kind"] == "tie":
-        wanted = ", ".join(f"{n:.1f} if {name}" for name, n in entry["expected_nats"].items())
-        broken = "distinguished" if told["broken"] else "still indistinguishable"
-        lines.append(
-            f"  nats expected: {wanted}; obtained: {entry['nats_obtained']:.1f} for {told['speaks_for']} ({broken})"
-        )
-    else:
-        lines.append(f"  nats expected: {entry['nats_expected']:.1f}; obtained: {entry['nats_obtained']:.1f}")
-        for label, p in told["parameters"].items():
-            wanted = p["expected_standard_error"]
-            lines.append(
-                f"    {label}: standard error {p['standard_error_before']:.2g} -> {p['standard_error']:.2g} {p['unit']}"
-                + ("" if wanted is None else f" ({wanted:.2g} expected)")
-            )
-    if told.get("surprise"):
-        lines.append(f"  {told['surprise']}")
-    if told["doubt"] is not None:
-        lines.append(f"  what was thought possible is not all: {told['doubt']}")
-    return [*lines, f"  after: {entry['after']['words']}"]
+    return rendered(__file__, "experiment.txt", **entry, asked=asked(entry["question"]))
 
 
 # --- all stages; what is finished is not done again -------------------------------------------------------------------
@@ -785,33 +759,8 @@ def record(loop: ClosedLoop, experiments: list[dict[str, Any]], stop: StoppedLoo
 
 def text(content: dict[str, Any]) -> str:
     """The record in some lines."""
-    lines = []
-    for entry in content["experiments"]:
-        lines += [*experiment_lines(entry), ""]
-    if content["stopped"] is not None:
-        lines += [f"no further experiment: {content['stopped']['sentence']}", ""]
-    lines += content["findings"]
-    if not content["findings"]:
-        lines.append("Nothing is missing from the declared physics, as far as the flights show.")
-    names = ", ".join(name for entry in content["told"] for name in entry)
-    lines.append(f"The controller now has: {names or 'nothing more than before'}.")
-    for p in content["rmse_m"]:
-        shown = [f"{_cm(p['before_m'])} before", f"{_cm(p['after_m'])} after"]
-        if "truth_m" in p:
-            shown.append(f"{_cm(p['truth_m'])} with the true effects")
-        lines.append(f"seed {p['seed']}: RMSE {', '.join(shown)}")
-    again = " Start the same command again, and it is flown again." if content["by"] == LINK else ""
-    for f in content["not_to_the_end"]:
-        lines.append(f"{f['flight']} was not flown to its end: {f['trouble']}.{again}")
-    if content["ratio"] is not None:
-        lines.append(
-            f"mean {_cm(content['before_mean_m'])} -> {_cm(content['after_mean_m'])} "
-            f"(x {content['ratio']:.2f}), better in {content['better_in']} of {content['pairs']}"
-        )
-    if (ratio := content.get("after_over_truth")) is not None:
-        truth = _cm(content["truth_mean_m"])
-        lines.append(f"{ratio:.2f} times the error of a controller with the true effects ({truth})")
-    return "\n".join(lines)
+    flown = [experiment_text(entry) for entry in content["experiments"]]
+    return rendered(__file__, "close_loop.txt", **{"after_over_truth": None, **content, "experiments": flown})
 
 
 def picture(loop: ClosedLoop, folder: Path) -> bool:
@@ -828,10 +777,6 @@ def picture(loop: ClosedLoop, folder: Path) -> bool:
     wanted = loop.reference.at(torch.from_numpy(t)).numpy()
     save(tracking(t, wanted, rows, title=f"The {loop.reference.name}, before and after"), folder / PICTURE)
     return True
-
-
-def _cm(value: float | None) -> str:
-    return "not flown" if value is None else f"{100 * value:.1f} cm"
 
 
 def _mean(values: list[float | None]) -> float | None:

@@ -84,11 +84,11 @@ def test_wheel_holds_code_commands_and_every_config_file(wheel: Path, root: Path
     expected = {str(path.relative_to(root)) for path in (root / "nsde_torch").rglob("*.py")}
     expected |= {f"nsde_torch/{path.relative_to(root)}" for path in (root / "cli").rglob("*.py")}
     expected |= {f"nsde_torch/{path.relative_to(root)}" for path in (root / "conf").rglob("*.yaml")}
-    for folder in ("cli/serving/page", "cli/shell"):
+    for folder in ("cli/serving/page", "cli/shell", "cli/templates"):
         expected |= {f"nsde_torch/{path.relative_to(root)}" for path in (root / folder).iterdir()}
     plug_ins = (root / "benchmarks" / "nsde_benchmarks").rglob("*.py")
     expected |= {str(path.relative_to(root / "benchmarks")) for path in plug_ins}
-    for part in ("control/codegen", "diagnosis", "export"):
+    for part in ("control/codegen", "design", "diagnosis", "export"):
         templates = (root / "nsde_torch" / part / "templates").iterdir()
         expected |= {str(path.relative_to(root)) for path in templates}
     assert expected <= names

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.special import stdtrit
 
+from nsde_torch.aligned import aligned
 from nsde_torch.arrays import Array
 from nsde_torch.design.limits import MARGIN, ExperimentLimits
 from nsde_torch.design.members import Member
@@ -20,6 +21,7 @@ from nsde_torch.design.questions import SURE, Question
 from nsde_torch.design.rehearsal import Rehearsed
 from nsde_torch.errors import ConfigError
 from nsde_torch.systems import System
+from nsde_torch.texts import rendered
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -45,77 +47,26 @@ def read_design(folder: str | Path) -> dict[str, Any]:
     return content
 
 
-def lines(content: Mapping[str, Any]) -> list[str]:
+def report(content: Mapping[str, Any]) -> str:
     """What `nsde design` prints, from the content of `design.json`."""
-    q, plan = content["question"], content["plan"]
-    tie = q["kind"] == "tie"
-    asked = f"which is true: {' or '.join(q['names'])}" if tie else f"how large: {', '.join(q['parameters'])}"
-    out = [f"question: {asked}"]
-    out += [f"note: {note}" for note in q["notes"]]
-    start = ", ".join(f"{n} = {v:.3g}" for n, v in plan["start"].items())
-    out += ["", f"the plan: {plan['duration_s']:.4g} s from {start}"]
-    out += [f"  {words}" for words in plan["words"]]
-    limits = content["limits"].items()
-    bounds = (f"{n} {v['low']:.4g} to {v['high']:.4g} {v['unit']} ({v['from']})" for n, v in limits)
-    out += ["limits: " + "; ".join(bounds)]
-    most = plan["largest_share_of_limits"]
-    out += ["largest use of them in rehearsal: " + ", ".join(f"{n} {v:.0%}" for n, v in most.items())]
-    out += ["", *(_of_tie(content) if tie else _of_parameters(content))]
-    return out
+    q, expected = content["question"], content["expected"]
+    if q["kind"] == "tie":
+        own = {"tie": True, "table": _table(content), "least": min(e["separated"] for e in expected)}
+    else:
+        asked, parameters = q["parameters"], expected[0]["parameters"].items()
+        shown = {n: p for n, p in parameters if any(n == a or n.startswith(f"{a}[") for a in asked)}
+        own = {"tie": False, "shown": shown}
+    return rendered(__file__, "design.txt", **content, **own, often=_OFTEN)
 
 
-def _of_tie(content: Mapping[str, Any]) -> list[str]:
-    rows = [("designed", content["expected"]), *((b["name"], b["expected"]) for b in content["baselines"])]
-    names = content["question"]["names"]
-    width = max(len(name) for name, _ in rows)
-    heads = [f"if {name} is true" for name in names]
-    columns = [max(len(h), 24) for h in heads]
-    others = content["baselines"]
-    usual = f" of the plan, {others[0]['rehearsals']} of the others" if others else ""
-    out = [
-        f"expected evidence [nats], mean (90 %), of {content['rehearsals']} rehearsals{usual}; "
-        f"{content['sure_nats']:g} break the tie (20 to 1)",
-        "  ".join([" " * width, *(h.rjust(w) for h, w in zip(heads, columns, strict=True))]),
-    ]
-    for name, expected in rows:
-        nats = (e["nats"] for e in expected)
+def _table(content: Mapping[str, Any]) -> str:
+    """Expected evidence of the plan and of usual inputs, where each member is true."""
+    rows = [["", *(f"if {name} is true".rjust(24) for name in content["question"]["names"])]]
+    for one in ({**content, "name": "designed"}, *content["baselines"]):
+        nats = [e["nats"] for e in one["expected"]]
         said = (f"{n['mean']:.1f} ({n['low_90']:.1f} to {n['high_90']:.1f})" for n in nats)
-        cells = [one.rjust(w) for one, w in zip(said, columns, strict=True)]
-        out.append("  ".join([name.ljust(width), *cells]))
-    least = min(e["separated"] for e in content["expected"])
-    out.append(
-        f"the plan breaks the tie in {least:.0%} of the rehearsals or more, whichever is true"
-        if least >= _OFTEN
-        else "within these limits and this length nothing that was tried breaks the tie reliably (the plan: in "
-        f"{least:.0%} of the rehearsals where it is hardest): allow more (limits, hertz, duration), or the members are "
-        "one law at the values that the runs show"
-    )
-    wide = content["beyond_limits"]
-    if least < _OFTEN and wide is not None and wide["worth_nats"] > content["sure_nats"]:
-        out.append(
-            f"what limits it is limits.{wide['limit']}: an experiment that takes {wide['share']:.0%} of it would tell "
-            f"{wide['worth_nats']:.1f} nats in the less favourable cases"
-        )
-    return out
-
-
-def _of_parameters(content: Mapping[str, Any]) -> list[str]:
-    (expected,) = content["expected"]
-    asked = content["question"]["parameters"]
-    labels = [n for n in expected["parameters"] if any(n == a or n.startswith(f"{a}[") for a in asked)]
-    others = [(b["name"], b["expected"][0]["parameters"]) for b in content["baselines"]]
-    out = ["expected standard errors: now, after the plan, and after usual inputs of that length"]
-    for label in labels:
-        p = expected["parameters"][label]
-        after = [_error(p), ", ".join(f"{name} {_error(q[label])}" for name, q in others)]
-        said = "; ".join(filter(None, after))
-        out.append(f"  {label} [{p['unit']}]: {p['standard_error']:.3g} -> {said}")
-    return out
-
-
-def _error(p: Mapping[str, Any]) -> str:
-    e = p["expected_standard_error"]
-    return "not known" if e is None else f"{e:.3g}"
+        rows.append([one["name"], *said])
+    return "\n".join(aligned(rows))
 
 
 def picture(experiment: Experiment) -> Figure:
@@ -229,7 +180,7 @@ class Experiment:
     @property
     def report(self) -> str:
         """The plan in words, as `nsde design` prints it."""
-        return "\n".join(lines(self.content()))
+        return report(self.content())
 
     def save(self, folder: str | Path) -> Path:
         """Write `design.json`, `plan.csv` and `design.png`; returns the folder."""

@@ -88,7 +88,7 @@ def test_wheel_holds_code_commands_and_every_config_file(wheel: Path, root: Path
         expected |= {f"nsde_torch/{path.relative_to(root)}" for path in (root / folder).iterdir()}
     plug_ins = (root / "benchmarks" / "nsde_benchmarks").rglob("*.py")
     expected |= {str(path.relative_to(root / "benchmarks")) for path in plug_ins}
-    for part in ("control/codegen", "design", "diagnosis", "export"):
+    for part in ("control/codegen", "design", "diagnosis", "export", "sysid"):
         templates = (root / "nsde_torch" / part / "templates").iterdir()
         expected |= {str(path.relative_to(root)) for path in templates}
     assert expected <= names

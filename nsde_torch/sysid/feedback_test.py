@@ -45,6 +45,7 @@ from nsde_torch.sysid.noise import Series, extended
 from nsde_torch.sysid.regression import ITERATIONS, Regression, regression_of
 from nsde_torch.sysid.signals import Direction
 from nsde_torch.systems import System
+from nsde_torch.texts import rendered
 
 ALPHA = 0.01  # chance of a finding where there is none, for each of the tests
 _ANSWER_S, _ANSWERS = 0.2, 20  # how long after a disturbance an answer is looked for [s], [rows]
@@ -66,13 +67,6 @@ _FITS = 30  # of least moduli
 FACTOR = 3.0
 """How much more inputs may know of their own step than they are seen to know of later ones (see `identify`)."""
 NO_INPUT = "no input moves"
-_EITHER = (
-    "either the controller saw more than was logged (a faster rate, other sensors) or the inputs act in a way that is "
-    "not declared (a lag, a delay). Gains are biased in both cases. Declare the lag (system.effects=[...]; `nsde "
-    "diagnose` names what is missing) and see whether this remains; signals from outside the loop "
-    "(data.instruments=[...]) tell the two apart"
-)
-_SAW = "the controller saw noise that the log no longer holds"
 _SHOWN = 3  # answers that a sentence names
 
 
@@ -86,6 +80,9 @@ class Answer:
     chance: float  # p value, adjusted for the number of tests (Holm)
     within_s: float = 0.0  # time by which most of it has come [s]; 0 where that means nothing
     upper: float = 0.0  # upper 95 % limit of `share`
+
+    def __str__(self) -> str:
+        return f"{self.input} predicts {_percent(self.share)} of the innovation of {self.channel}"
 
 
 @dataclass(frozen=True)
@@ -199,11 +196,7 @@ class FeedbackTest:
     @property
     def most_known(self) -> str:
         """What inputs surely predict most of, in words; empty if nothing."""
-        said = [
-            f"{a.input} predicts {_percent(a.share)} of the innovation of {a.channel}"
-            for a in _surely(self.knowledge)
-        ]
-        return said[0] if said else ""
+        return next(map(str, _surely(self.knowledge)), "")
 
     @property
     def functions_of_state(self) -> tuple[str, ...]:
@@ -213,59 +206,14 @@ class FeedbackTest:
     @property
     def findings(self) -> list[str]:
         """What was found, and what follows from it, in words; the first says whether the loop is closed."""
-        if self.why_not == NO_INPUT:
-            return [f"{NO_INPUT}, so that there is no loop to test"]
-        out = [f"input {name} never moves: the data say nothing of what it does" for name in self.still]
-        if self.why_not:
-            return [*out, f"feedback was not tested: {self.why_not}"]
-        answers = _surely(self.answers)
-        if answers:
-            told = "; ".join(
-                f"{a.input} answers what the physics leaves unexplained of {a.channel} within "
-                f"{1e3 * a.within_s:.0f} ms ({_percent(a.share)} of its innovation)"
-                for a in answers[:_SHOWN]
-            )
-            rest = f"; {len(answers) - _SHOWN} further pairs" if len(answers) > _SHOWN else ""
-            out.append(
-                f"the loop is closed: {told}{rest}; errors of predictions over many steps under these inputs do not "
-                "show what an input does"
-            )
-        elif self.closed:
-            out.append(
-                "the loop is closed: inputs together answer what the physics leaves unexplained of what they drive; "
-                "errors of predictions over many steps under these inputs do not show what an input does"
-            )
-        elif self.open:
-            out.append(
-                "the loop is open as far as the data show: no input answers what the physics leaves unexplained"
-            )
-        else:
-            out.append("no input answers what the physics leaves unexplained, yet the loop may be closed")
         predictive = _surely(self.knowledge)
-        if predictive:
-            told = "; ".join(
-                f"{a.input} predicts {_percent(a.share)} of the innovation of {a.channel}"
-                for a in predictive[:_SHOWN]
-            )
-            lost = [c for c in self.smoothed if c in {a.channel for a in predictive}]
-            why = f"the states of {' and '.join(lost)} were smoothed before they were logged, and {_SAW}; or "
-            why = why if lost else ""
-            out.append(f"inputs predict innovations: {told}; {why}{_EITHER}")
-        elif self.other_sensors:
-            out.append(
-                f"the inputs that move {' and '.join(self.other_sensors)} hardly answer the noise of the logged "
-                "measurement: the controller had other sensors or another rate there, and may know what the log does "
-                "not. Gains may be biased; signals from outside the loop (data.instruments=[...]) take most of that out"
-            )
-        elif self.closed and not self.functions_of_state:
-            out.append("inputs predict no innovation: one-step estimates are right under this feedback")
-        for name in self.functions_of_state:
-            out.append(
-                f"{name} is nearly a function of the logged state ({1 - self.new[name]:.0%} of it): what it does "
-                f"is indistinguishable from what {' and '.join(self.driven[name])} would do anyhow, and its gain is "
-                "not identifiable; move the sticks more, or add a test signal"
-            )
-        return out
+        told = {
+            "answers": _surely(self.answers),
+            "predictive": predictive,
+            "lost": [c for c in self.smoothed if c in {a.channel for a in predictive}],
+        }
+        constants = {"no_input": NO_INPUT, "shown": _SHOWN, "percent": _percent}
+        return rendered(__file__, "feedback.txt", test=self, **told, **constants).splitlines()
 
     def as_dict(self) -> dict[str, Any]:
         return {

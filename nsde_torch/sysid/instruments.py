@@ -33,6 +33,7 @@ from nsde_torch.sysid.feedback_test import ALPHA, FeedbackTest, own_innovations
 from nsde_torch.sysid.noise import extended
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
+from nsde_torch.texts import rendered
 
 MISSING = 1e-3  # chance below which instruments show that an effect is missing
 _SURE = 0.05  # chance below which two estimates differ
@@ -79,46 +80,19 @@ class Instrumented:
 
     def findings(self, adopted: bool) -> list[str]:
         """What instruments say, in words; `adopted` says whether their estimates are those that are printed."""
-        out = [f"instrument {name} is not used: {why}" for name, why in self.refused.items()]
-        if not self.names:
-            return out
-        names = ", ".join(self.names)
-        if self.between_rows:
-            out.append(
-                "what the instruments do is explained with inputs that move between the rows of the log, not held"
-            )
-        moved = [n for n, m in zip(self.labels, self.moved, strict=True) if m]
-        if not moved:
-            return [
-                *out,
-                f"the instruments ({names}) are too weak to show any parameter; ordinary estimates are printed",
-            ]
         apart = [
             f"{label} {self.ordinary[i]:.4g} becomes {self.values[i]:.4g}"
             for i, label in enumerate(self.labels)
             if self.difference[i] < _SURE
         ]
-        differ = f"estimates surely differ from ordinary ones: {', '.join(apart)}"
-        same = "no estimate surely differs from the ordinary one"
-        out.append(f"by the instruments ({names}) {differ if apart else same}")
-        if adopted and self.unexplained >= MISSING and apart:
-            out.append(
-                "the declared physics explains all that the instruments do: what bends ordinary estimates is a "
-                "controller that saw more than the log"
-            )
-        if self.unexplained < MISSING:
-            out.append(
-                "the declared physics does not explain all that the instruments do "
-                f"(p = {self.unexplained:.1g}): an effect is missing (a lag, a delay), or an instrument is not "
-                "exogenous; neither estimate is right before it is declared"
-            )
-        out.append(
-            f"printed by the instruments: {', '.join(moved)}" if adopted else "printed: ordinary estimates"
-        )
-        weak = [n for n, m, f in zip(self.labels, self.moved, self.strength, strict=True) if not m and f == f]
-        if weak:
-            out.append(f"not shown by the instruments, ordinary estimates: {', '.join(weak)}")
-        return out
+        rows = [*zip(self.labels, self.moved, self.strength, strict=True)]
+        told = {
+            "apart": apart,
+            "moved": [name for name, moved, _ in rows if moved],
+            "weak": [name for name, moved, f in rows if not moved and f == f],
+            "missing": self.unexplained < MISSING,
+        }
+        return rendered(__file__, "instruments.txt", by=self, adopted=adopted, **told).splitlines()
 
     def as_dict(self) -> dict[str, Any]:
         half = self.half_widths(0.9)

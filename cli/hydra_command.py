@@ -44,6 +44,7 @@ WITH_VALUE = {
 }
 
 
+TEXTS = __file__  # beside the templates of what commands print (`nsde_torch.texts`)
 say = partial(print, flush=True)  # prints a line at once, of work that goes on
 
 

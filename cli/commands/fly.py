@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from nsde_torch.px4.options import FlightOptions
+from nsde_torch.texts import rendered
 from nsde_torch.whole_files import json_text
 
-from ..hydra_command import Config, HydraCommand, Job, say
+from ..hydra_command import TEXTS, Config, HydraCommand, Job, say
 from ..keys import group, key, of
 from ..quoted import from_file
 from ..schemas import LimitsConfig, LinkConfig, MpcConfig, ReferenceConfig
@@ -133,7 +134,7 @@ def run(config: Config, job: Job) -> float | None:
             content["flights"].append({**report.as_dict(), "took_s": time.perf_counter() - started})
             job.run_dir.mkdir(parents=True, exist_ok=True)
             (job.run_dir / RESULT).write_text(json_text(content), encoding="utf-8")
-            say(_line(report))
+            say(_text(report))
             if report.outcome.trouble is not None:
                 break
     finally:
@@ -142,31 +143,9 @@ def run(config: Config, job: Job) -> float | None:
     return _verdict(reports)
 
 
-def _line(report: FlightReport) -> str:
+def _text(report: FlightReport) -> str:
     """One flight in some lines."""
-    o, found = report.outcome, report.as_dict()
-    if not o.begun and o.trouble is not None:
-        return f"the flight did not begin; {o.trouble.kind}: {o.trouble.text}"
-    ends = "landed and disarmed" if o.landed else "NOT seen to land"
-    if o.trouble is not None:
-        ends += f"; {o.trouble.kind}: {o.trouble.text}"
-    lines = [
-        f"{'the reference was flown' if o.tracked else 'the reference was not flown to its end'}; {ends}"
-    ]
-    if report.rmse is not None:
-        lines[0] += f"; RMSE {100 * report.rmse:.1f} cm, largest {100 * max(report.errors):.1f} cm"
-    gap, age, solve = found["setpoint_gap_ms"], found["state_age_ms"], found["solve_ms"]
-    if gap is not None:
-        lines.append(
-            f"  setpoints: {gap['count']}, gaps p50 {gap['p50']:.1f} ms, p99.9 {gap['p99.9']:.1f} ms, largest "
-            f"{gap['max']:.1f} ms; state age p50 {age['p50']:.1f} ms, p99 {age['p99']:.1f} ms"
-        )
-    if solve is not None:
-        lines.append(
-            f"  plans: {solve['count']}, p50 {solve['p50']:.2f} ms, p99 {solve['p99']:.2f} ms; "
-            + ", ".join(f"{n} {word}" for word, n in found["status"].items())
-        )
-    return "\n".join(lines)
+    return rendered(TEXTS, "flight.txt", **report.as_dict(), begun=report.outcome.begun)
 
 
 def _verdict(reports: list[FlightReport]) -> float | None:

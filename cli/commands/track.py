@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from nsde_torch.errors import ConfigError
+from nsde_torch.texts import rendered
 from nsde_torch.whole_files import json_text
 
-from ..hydra_command import Config, HydraCommand, Job, say
+from ..hydra_command import TEXTS, Config, HydraCommand, Job, say
 from ..keys import group, key
 from ..quoted import from_file
 from ..schemas import FlownPlantConfig, MpcConfig, ReferenceConfig
@@ -122,7 +123,7 @@ def run(config: Config, job: Job) -> float | None:
         label = track_build.label(name)
         flights[label] = _fly(config, name, known.get(name, first), first, path, start)
         content["controllers"][label] = {"run": name, **summarise(flights[label], system)}
-        print(_line(label, content["controllers"][label]), flush=True)
+        print(_text(label, content["controllers"][label]), flush=True)
     (job.run_dir / RESULT).write_text(json_text(content), encoding="utf-8")
     own = flights[track_build.label(config.run)]
     write_log(own, system, job.run_dir / LOG)
@@ -169,31 +170,11 @@ def _fly(
     return out
 
 
-def _line(label: str, found: dict[str, Any]) -> str:
-    """One controller in one line or two."""
-    if found["lost"] == found["machines"]:
-        return f"{label}: all {found['machines']} machines were lost"
-    if "rmse_m" not in found:
-        errors = ", ".join(
-            f"{name} {value:.3g} {found['units'][name]} ({found['rmse_last_s'][name]:.3g} in the last second)"
-            for name, value in found["rmse"].items()
-        )
-        text = f"{label}: RMSE {errors}, {found['lost']} of {found['machines']} lost"
-    else:
-        text = (
-            f"{label}: RMSE {100 * found['rmse_m']:.1f} cm, largest {100 * found['position_error_max_m']:.1f} cm, "
-            f"altitude within {100 * found['altitude_error_max_m']:.1f} cm, {found['lost']} of {found['machines']} lost"
-        )
-    if "solve_ms" in found:
-        ms = found["solve_ms"]
-        text += f"\n  solves: p50 {ms['p50']:.2f} ms, p99 {ms['p99']:.2f} ms; "
-        text += ", ".join(f"{count} {word}" for word, count in found["status"].items())
-        failed = sum(
-            count for word, count in found["status"].items() if word.endswith(("kept", "hover", "rest"))
-        )
-        if failed > 0.5 * sum(found["status"].values()):
-            text += "\n  most plans failed: the start or the reference is where the model cannot be evaluated"
-    return text
+def _text(label: str, found: dict[str, Any]) -> str:
+    """One controller in one line or more."""
+    status = found["status"].items()
+    failed = sum(count for word, count in status if word.endswith(("kept", "hover", "rest")))
+    return rendered(TEXTS, "tracking.txt", **found, label=label, failed=failed)
 
 
 def _pictures(

@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING
 from nsde_torch.aligned import aligned
 from nsde_torch.data.readers import READERS
 from nsde_torch.errors import ConfigError
+from nsde_torch.texts import rendered
 
 from ..exit_status import FAILED_JOBS, EndedError
-from ..hydra_command import WITH_VALUE, Config, HydraCommand, Job
+from ..hydra_command import TEXTS, WITH_VALUE, Config, HydraCommand, Job
 from ..keys import group, key
 from ..own_modules import UNNAMED
 from ..quoted import as_typed
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
     from nsde_torch.api.inspecting import Inspection
 
 _SHOWN = 40
-_MARKS = {True: "ok  ", False: "NO  ", None: "?   "}
 
 
 @dataclass
@@ -172,20 +172,8 @@ def _save(target: Path, text: str, key: str) -> None:
 
 def report(found: Inspection, *, everything: bool = False) -> str:
     """What was found, as text."""
-    count = len(found.runs)
-    names = ", ".join(found.runs[:5]) + (", ..." if count > 5 else "")
-    lines = [f"{found.path}: data={found.kind}, {count} run{'s' * (count > 1)} ({names})", ""]
-    lines += _table(found, everything=everything)
-    if found.native:
-        lines += ["", f"The reader `{found.kind}` needs no mapping; the system is {found.system}."]
-    elif found.mapping is not None:
-        lines += ["", f"mapping for {found.system}:", *(f"  {line}" for line in found.yaml.splitlines())]
-    lines += ["", *(f"missing: {one}" for one in found.missing)] if found.missing else []
-    lines += ["", *(f"look at: {one}" for one in found.open)] if found.open else []
-    lines += ["", *(f"note: {one}" for one in found.notes)] if found.notes else []
-    if found.checks:
-        lines += ["", "checks:", *(f"  {_MARKS[c.passed]}{c.name}: {c.text}" for c in found.checks)]
-    return "\n".join(lines)
+    table = "\n".join(_table(found, everything=everything))
+    return rendered(TEXTS, "inspection.txt", found=found, table=table)
 
 
 def _table(found: Inspection, *, everything: bool) -> list[str]:

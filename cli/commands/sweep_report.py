@@ -17,9 +17,11 @@ from typing import Any
 from nsde_torch.aligned import aligned
 from nsde_torch.errors import ConfigError
 from nsde_torch.plain_yaml import read_yaml
+from nsde_torch.texts import rendered
 
 from ..exit_status import OK
 from ..help import found_files
+from ..hydra_command import TEXTS
 from ..registry import PlainCommand
 
 DONE, FAILED, UNFINISHED = "done", "failed", "unfinished"
@@ -71,28 +73,15 @@ def _place(value: float | None) -> float:
 
 
 def report(jobs: Sequence[SweepJob], groups: Sequence[Group], score: str, columns: Sequence[str]) -> str:
-    count = {status: sum(job.status == status for job in jobs) for status in (DONE, FAILED, UNFINISHED)}
-    lines = [f"{len(jobs)} jobs: " + ", ".join(f"{number} {status}" for status, number in count.items())]
-    scales = by_scale(groups)
-    for scale, alike in scales.items():
-        where = f" among {scale}" if len(scales) > 1 else ""
-        lines += ["", f"Ranked by {score}{where} (mean +- standard deviation over seeds, smaller is better)"]
-        lines += _ranking(alike, score, [c for c in columns if any(c in g.jobs[0].metrics for g in alike)])
-    if len(scales) > 1:
-        lines += [
-            "",
-            "Scores of different systems, models and losses do not compare; for one ranking of all, name a number that "
-            "does, for example --by test.crps.position.1",
-        ]
-    for status, title in (
-        (FAILED, "Failed"),
-        (UNFINISHED, "Unfinished (running, or killed; to continue one: nsde train resume=FOLDER)"),
-    ):
-        found = [job for job in jobs if job.status == status]
-        if found:
-            lines += ["", f"{title}:"]
-            lines += [f"  {job.folder.name}" + (f": {job.reason}" if job.reason else "") for job in found]
-    return "\n".join(lines)
+    failed, unfinished = ([job for job in jobs if job.status == status] for status in (FAILED, UNFINISHED))
+    scales = []
+    for scale, alike in by_scale(groups).items():
+        shown = [c for c in columns if any(c in g.jobs[0].metrics for g in alike)]
+        best = min(alike[0].jobs, key=lambda job: _place(job.metrics.get(score)))
+        scales.append((scale, _ranking(alike, score, shown), best.folder))
+    lists = {"failed": failed, "unfinished": unfinished}
+    done = len(jobs) - len(failed) - len(unfinished)
+    return rendered(TEXTS, "sweep.txt", count=len(jobs), done=done, scales=scales, score=score, **lists)
 
 
 def by_scale(groups: Sequence[Group]) -> dict[str, list[Group]]:
@@ -109,9 +98,7 @@ def _ranking(groups: Sequence[Group], score: str, columns: Sequence[str]) -> lis
         [str(rank), str(len(group.jobs)), *(_pair(group, name) for name in (score, *columns)), group.label]
         for rank, group in enumerate(groups, start=1)
     ]
-    best = min(groups[0].jobs, key=lambda job: _place(job.metrics.get(score)))
-    table = aligned([head, *rows], left=len(head))
-    return [*(f"  {row}" for row in table), f"  best job: {best.folder}"]
+    return aligned([head, *rows], left=len(head))
 
 
 def _short(name: str) -> str:

@@ -20,6 +20,7 @@ from nsde_torch.design.questions import SURE, Question
 from nsde_torch.design.rehearsal import Fits, against, density, fit_all
 from nsde_torch.errors import DataError
 from nsde_torch.systems import System
+from nsde_torch.texts import rendered
 
 STRANGE = 2.0
 """Mean square of the best member's residual of an experiment, in units of the noise, from which it is another
@@ -126,18 +127,7 @@ class Obtained:
 
     @property
     def report(self) -> str:
-        if self.parameters:
-            return "\n".join(f"{label}: {p}" for label, p in self.parameters.items())
-        name, nats, expected = self.question.names[self.best], self.nats[self.best], self.expected_nats
-        said = (
-            f"the experiment speaks for {name}: {nats:.1f} nats against what else may be true"
-            if self.broken
-            else f"still tied: {nats:.1f} nats for {name}, where {SURE:g} would break the tie"
-        )
-        if expected is not None:
-            low, high = expected["low_90"], expected["high_90"]
-            said += f" ({expected['mean']:.1f} were expected, {low:.1f} to {high:.1f} in 90 %)"
-        return said if self.surprise is None else f"{said}\nnote: {self.surprise}."
+        return rendered(__file__, "obtained.txt", o=self, sure=SURE)
 
 
 def obtained(

@@ -1,12 +1,13 @@
 """Scalars as functions in C: statements, networks with loops, and products with sparse matrices."""
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
 from nsde_torch.control.codegen import scalar
 from nsde_torch.control.codegen.scalar import PLACE, Layer, Number, Scalar
+from nsde_torch.texts import rendered
 
 _LONG = 90  # characters of an expression from which on it becomes a statement of its own
 _CALLS = {
@@ -65,49 +66,21 @@ class Networks:
         return self._places[layer]
 
     def _written(self, chain: Sequence[Layer], rows: Sequence[Sequence[int]]) -> str:
-        """Outputs y and, if asked for, their slopes, backwards from each output."""
-        n, last, tables, body = [len(r) for r in rows], len(chain) - 1, [], []
+        """The layers of a network, of some of their units each."""
+        last, layers = len(chain) - 1, []
         for k, (layer, (above, below)) in enumerate(zip(chain, pairwise(rows), strict=True)):
-            weight = ",\n    ".join(
-                f"{{{', '.join(map(number, row))}}}" for row in layer.weight[below][:, above].T
-            )
-            bias = ", ".join(map(number, layer.bias[below]))
-            tables.append(f"static const real network_#_w{k}[{n[k]}][{n[k + 1]}] = {{\n    {weight}}};")
-            tables.append(f"static const real network_#_b{k}[{n[k + 1]}] = {{{bias}}};")
-            source, target = f"h{k}" if k else "x", f"h{k + 1}" if k < last else "y"
-            if k < last:
-                body.append(f"    real {target}[{n[k + 1]}], s{k + 1}[{n[k + 1]}];")
-            body.append(
-                f"    copy(network_#_b{k}, {target}, {n[k + 1]});\n    for (int j = 0; j < {n[k]}; j++)"
-            )
-            body.append(
-                f"        for (int i = 0; i < {n[k + 1]}; i++) {target}[i] += network_#_w{k}[j][i] * {source}[j];"
-            )
+            weight = (f"{{{', '.join(map(number, row))}}}" for row in layer.weight[below][:, above].T)
+            own = {"weight": ",\n    ".join(weight), "bias": ", ".join(map(number, layer.bias[below]))}
+            own |= {"source": f"h{k}" if k else "x", "target": f"h{k + 1}" if k < last else "y"}
             if k < last:
                 activation = chain[k + 1].activation
                 slope = scalar.jacobian([activation], [PLACE])[0].get(0, 0.0)
                 code = _Body(self, "        ", given={id(PLACE): "a"})
                 code.count([activation, slope])
-                value, derivative = code.text(activation), code.text(slope)
-                body.append(
-                    f"    for (int i = 0; i < {n[k + 1]}; i++) {{\n        const real a = {target}[i];"
-                )
-                body.append("".join(code.lines) + f"        {target}[i] = {value};")
-                body.append(f"        s{k + 1}[i] = {derivative};\n    }}")
-        body.append(f"    for (int o = 0; slope && o < {n[-1]}; o++) {{")
-        for k in range(last, -1, -1):
-            target, weights = (f"g{k}" if k else "slope[o]"), f"network_#_w{k}[j]"
-            if k:
-                body.append(f"        real g{k}[{n[k]}];")
-            body.append(f"        for (int j = 0; j < {n[k]}; j++) {{")
-            if k == last:
-                body.append(f"            {target}[j] = {weights}[o];")
-            else:
-                body.append(f"            {target}[j] = 0;\n            for (int i = 0; i < {n[k + 1]}; i++)")
-                body.append(f"                {target}[j] += {weights}[i] * g{k + 1}[i];")
-            body.append(f"            {target}[j] *= s{k}[j];\n        }}" if k else "        }")
-        head = f"static void network_#(const real *x, real *y, real (*slope)[{n[0]}])\n{{"
-        return "\n".join((*tables, head, *body, "    }", "}\n"))
+                own |= {"value": code.text(activation), "slope": code.text(slope)}
+                own["lines"] = "".join(code.lines)
+            layers.append({"k": k, "n_in": len(above), "n_out": len(below), **own})
+        return rendered(__file__, "network.c", layers=layers) + "\n"
 
 
 class _Body:
@@ -224,55 +197,12 @@ class Matrix:
         return " + ".join(x if t == "1" else f"{t} * {x}" for t, x in terms) or "0"
 
 
-def _void(head: str, lines: Iterable[str]) -> str:
-    code = "".join(f"    {line}\n" for line in lines)
-    return f"static void {head}\n{{\n{_unused(head, code)}{code}}}\n\n"
-
-
 def products(a: Matrix, b: Matrix, q: Matrix, nz: int) -> str:
     """Products with the Jacobians of a step: A, B, and Q = J^T J of the roots of the cost; and m - h^T h."""
-    vector, square = "const real *restrict", "real (*restrict m)[LD], "
 
-    def over(count: str, x: Matrix, left: str, right: str, start: str = "0") -> list[str]:
-        head = f"for (int c = {start}; c < {count}; c++)"
-        return [f"{head} {left} = {x.column(j, right)};".replace("<j>", str(j)) for j in range(x.width)]
+    def void(head: str, vectors: str, last: str, caller: Callable[[], str]) -> str:
+        given = "".join(f"const real *restrict {name}, " for name in vectors.split())
+        full, code = f"{head}{given}{last})", caller()
+        return f"static void {full}\n{{\n{_unused(full, code)}{code}}}\n\n"
 
-    to = "real (*restrict out)[LD]"
-    terms = " + ".join(f"h[{i}][r] * h[{i}][c]" for i in range(b.width))
-    return "".join(
-        (
-            _void(f"a_times({vector} a, {square}{to})", over("LD", a, "out[<j>][c]", "m[{}][c]")),
-            _void(f"b_times({vector} b, {square}{to})", over("LD", b, "out[<j>][c]", "m[{}][c]")),
-            # of what is symmetric, one half
-            _void(f"times_a({square}{vector} a, {to})", over("NR", a, "out[c][<j>]", "m[c][{}]", "<j>")),
-            _void(f"inputs_times_a({square}{vector} a, {to})", over("NU", a, "out[c][<j>]", "m[c][{}]")),
-            _void(
-                f"times_b({square}{vector} b, real (*restrict out)[NU])",
-                over("NU", b, "out[c][<j>]", "m[c][{}]"),
-            ),
-            _void(
-                f"forward({vector} a, {vector} b, {vector} dz, {vector} du, real *restrict out)",
-                (f"out[{i}] = {a.row(i, 'dz[{}]')} + {b.row(i, 'du[{}]')};" for i in range(nz)),
-            ),
-            _void(
-                f"back_a({vector} a, {vector} l, real *restrict out)",
-                (f"out[{j}] = {a.column(j, 'l[{}]')};" for j in range(nz)),
-            ),
-            _void(
-                f"back_b({vector} b, {vector} l, real *restrict out)",
-                (f"out[{j}] = {b.column(j, 'l[{}]')};" for j in range(b.width)),
-            ),
-            # a sum in one go: a row that is stored and loaded again for each term takes twice as long
-            _void(
-                f"less_square(real (*restrict h)[LD], {to})",
-                (
-                    f"for (int r = 0; r < NR; r++)\n        for (int c = 0; c < LD; c++) out[r][c] -= {terms};",
-                ),
-            ),
-            _void(f"add_q({vector} q, {to})", (f"out[{i}][{j}] += {t};" for (i, j), t in q.terms.items())),
-            _void(
-                f"times_q({vector} q, {vector} e, real *restrict out)",
-                (f"out[{i}] = {q.row(i, 'e[{}]')};" for i in range(q.height)),
-            ),
-        )
-    )
+    return rendered(__file__, "products.c", a=a, b=b, q=q, nz=nz, void=void) + "\n\n"

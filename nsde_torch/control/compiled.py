@@ -29,7 +29,7 @@ import torch
 from torch import Tensor, nn
 
 from nsde_torch.cache import cache_folder
-from nsde_torch.control.gauss_newton import AcceleratedGradient, GaussNewton, Iterate
+from nsde_torch.control.gauss_newton import AcceleratedGradient, GaussNewton, Iterate, Memory
 from nsde_torch.control.predictor import Predictor
 
 if TYPE_CHECKING:
@@ -73,13 +73,11 @@ class CompiledMethod:
         self._work = torch.empty(work, dtype=torch.uint8)
         self._tables: tuple[Tensor, ...] = ()
 
-    def start(self, u: Tensor) -> tuple[Tensor, ...]:
+    def start(self, u: Tensor) -> Memory:
         """Memory before the first iteration: there is none."""
         return ()
 
-    def iterate(
-        self, arguments: Sequence[Tensor], memory: tuple[Tensor, ...]
-    ) -> tuple[Iterate, tuple[Tensor, ...]]:
+    def iterate(self, arguments: Sequence[Tensor], memory: Memory) -> tuple[Iterate, Memory]:
         """Improve plans; see `GaussNewton.iterate`. What it returns is in double precision, u and z until the next."""
         first, n = not memory, len(arguments[0])
         if first:

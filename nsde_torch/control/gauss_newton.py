@@ -31,6 +31,10 @@ LEFT = 1e-3
 CHANGES = 8  # most changes of the active set in an iteration
 
 
+Memory = tuple[Tensor, ...]
+"""What a method keeps from one iteration to the next."""
+
+
 class Iterate(NamedTuple):
     """Plans after an iteration."""
 
@@ -74,13 +78,11 @@ class GaussNewton(nn.Module):
         before = torch.diag(torch.ones(n - horizon.nu, dtype=dtype), -horizon.nu)
         self.register_buffer("change", self.eye - before)
 
-    def start(self, u: Tensor) -> tuple[Tensor, ...]:
+    def start(self, u: Tensor) -> Memory:
         """Memory before the first iteration: there is none."""
         return ()
 
-    def iterate(
-        self, arguments: Sequence[Tensor], memory: tuple[Tensor, ...]
-    ) -> tuple[Iterate, tuple[Tensor, ...]]:
+    def iterate(self, arguments: Sequence[Tensor], memory: Memory) -> tuple[Iterate, Memory]:
         """Improve plans, with as many changes of the active set as are needed."""
         z0, u, _, ref, last, d = arguments
         *quadratic, best, least = self.prepare(*arguments)
@@ -297,14 +299,12 @@ class AcceleratedGradient(nn.Module):
         self.factors: Tensor
         self.register_buffer("factors", torch.tensor(FACTORS, dtype=horizon.predictor.dtype))
 
-    def start(self, u: Tensor) -> tuple[Tensor, ...]:
+    def start(self, u: Tensor) -> Memory:
         """Memory before the first iteration."""
         one = u.new_ones(len(u))
         return u.clone(), one, FIRST_STEP * one
 
-    def iterate(
-        self, arguments: Sequence[Tensor], memory: tuple[Tensor, ...]
-    ) -> tuple[Iterate, tuple[Tensor, ...]]:
+    def iterate(self, arguments: Sequence[Tensor], memory: Memory) -> tuple[Iterate, Memory]:
         """Roll out steps of several sizes, and keep the best plan; see `GaussNewton.iterate`."""
         h = self.horizon
         z0, u, _, ref, last, d = arguments

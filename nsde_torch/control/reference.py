@@ -81,21 +81,19 @@ def states_of(path: FlightPath) -> Tensor:
     return torch.cat((torch.from_numpy(np.hstack((path.p, path.v))), q, omega), 1)
 
 
+@dataclass(eq=False)
 class StateReference:
-    """States to track, looked up by time; before the start and after the end the first and last are held.
+    """States to track, looked up by time; before the start and after the end the first and last are held."""
 
-    Args:
-        name: What it is called in messages and figures.
-        dt: Step of the grid of time [s].
-        states: States on the grid (n, nx).
-        about: What it was made of, for the record.
-    """
+    name: str  # what it is called in messages and figures
+    dt: float  # step of the grid of time [s]
+    states: Tensor  # on the grid (n, nx)
+    about: Mapping[str, object] = field(default_factory=dict)  # what it was made of, for the record
 
-    def __init__(
-        self, name: str, dt: float, states: Tensor, about: Mapping[str, object] | None = None
-    ) -> None:
-        self.name, self.dt, self.states, self.about = name, dt, states, dict(about or {})
-        self.duration = (len(states) - 1) * dt
+    @property
+    def duration(self) -> float:
+        """Length [s]."""
+        return (len(self.states) - 1) * self.dt
 
     def at(self, t: Tensor) -> Tensor:
         """States (..., nx) at times (...) [s], by interpolation."""
@@ -116,7 +114,7 @@ class Reference(StateReference):
 
     def __init__(self, path: FlightPath) -> None:
         super().__init__(path.name, path.dt, states_of(path), path.about)
-        self.path, self.duration = path, path.duration
+        self.path = path
         self._rest = self.states[[0, -1]].clone()
         for row, yaw in zip(self._rest, path.yaw[[0, -1]], strict=True):
             row[3:6], row[7:9], row[10:] = 0.0, 0.0, 0.0

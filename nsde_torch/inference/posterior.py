@@ -7,7 +7,7 @@ stretch with parameters of its own, so that a step of Gauss and Newton costs wha
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import final
 
 import numpy as np
@@ -59,27 +59,19 @@ class Posterior:
 
 
 @final
+@dataclass(eq=False)
 class Posteriors:
-    """Posterior densities of one machine at given noise levels.
+    """Posterior densities of one machine at given noise levels."""
 
-    Args:
-        clock: Physical seconds per logged second.
-        disturbances: Ports that these are levels of, and their columns; None takes those that a log distinguishes.
+    system: System
+    levels: Levels
+    _: KW_ONLY
+    clock: float = 1.0  # physical seconds per logged second
+    disturbances: tuple[tuple[Port, int], ...] | None = None
+    """Ports that these are levels of, and their columns; None takes those that a log distinguishes."""
 
-    Attributes:
-        vector: Its parameters, whose bounds hold.
-    """
-
-    def __init__(
-        self,
-        system: System,
-        levels: Levels,
-        *,
-        clock: float = 1.0,
-        disturbances: tuple[tuple[Port, int], ...] | None = None,
-    ) -> None:
-        self.system, self.levels, self.clock, self.disturbances = system, levels, clock, disturbances
-        self.vector = ParameterVector(system)
+    def __post_init__(self) -> None:
+        self.vector = ParameterVector(self.system)  # its parameters, whose bounds hold
 
     def likelihood(self, runs: Sequence[Run], run_in: bool) -> LogLikelihood:
         """The likelihood of some runs; `run_in` as for `modes`."""

@@ -32,7 +32,7 @@ from nsde_torch.inference.estimate import ARITHMETIC
 from nsde_torch.sysid.physics import per_second
 from nsde_torch.sysid.readings import better_readings
 from nsde_torch.sysid.regression import Regression
-from nsde_torch.sysid.rough import Left, Objection, left_at, rough_fit
+from nsde_torch.sysid.rough import Left, Objection, left_at, objection, rough_fit
 from nsde_torch.sysid.run_differences import odd_run, unexplained_runs
 from nsde_torch.sysid.timing import shifted_stream
 from nsde_torch.systems import System
@@ -206,8 +206,8 @@ def _faults(
         return [better], []
     moved = shifted_stream(system, runs, clock, rough)
     if moved is not None and not moved.of_actuators:
-        return [Objection("shifted_stream", moved.sentence, moved.remedy)], []
-    notes = [] if moved is None else [f"{moved.sentence}; {moved.remedy}"]
+        return [moved.objection], []
+    notes = [] if moved is None else [str(moved.objection)]
     apart = unexplained_runs(rough, runs)
     odd = None if apart else odd_run(regression, rough, runs)
     return apart or [o for o in (odd,) if o], notes
@@ -220,45 +220,16 @@ def _disagreement(channels: Sequence[Compared], chance: float) -> Objection | No
     cancelled = [c for c in channels if c.less and c.least_squares < c.measured / WORSE]
     worse = [c for c in channels if c.fit > WORSE * c.measured and c not in cancelled]
     if lost and chance < CHANCE:
-        told = ", ".join(
-            f"{c.name} {c.least_squares:.3g} where the fit leaves {c.fit:.3g} {c.unit}" for c in lost
-        )
-        return Objection(
-            "least_squares",
-            f"least squares on means over 0.15 s leave much less than the fit ({told}). Noise and feedback make what "
-            "least squares find smaller, never larger: what the fit lacks beside them is real, and its noise model "
-            "has taken it for noise",
-            "the states may have been smoothed or filtered before they were logged, or something that acts is not "
-            "declared: log them raw, or train with model.method=differences; `nsde diagnose` names effects",
-        )
+        return objection("least_squares", lost=lost)
     if worse:
-        told = ", ".join(
-            f"{c.fit:.3g} {c.unit} of {c.name} where {c.measured:.3g} was measured" for c in worse
-        )
-        return Objection(
-            "worse",
-            f"the declared physics leaves {told}, steady pushes not counted",
-            "a wrong model, order of inputs, sign or unit, or a controller that cancels what the physics lacks",
-            tuple(c.name for c in worse),
-        )
+        return objection("worse", worse=worse, of=tuple(c.name for c in worse))
     # smaller gains leave less too where inputs cancel what the physics lacks
     behind = sum(log(max(c.fit, 1e-12) / max(c.first_values, 1e-12)) for c in channels if not c.less)
     matters = any(c.fit**2 - c.first_values**2 > MATTERS * c.measured**2 for c in channels)
     if behind > BEHIND and matters and chance < CHANCE:
-        return Objection(
-            "first_values",
-            "the first values of the parameters leave less of the rates than the fit",
-            "the fit stopped elsewhere: give first values (system.parameters.NAME=...), or look at the columns",
-        )
+        return objection("first_values")
     poor = [c for c in channels if c.unexplained and c not in cancelled]
-    if channels and 2 * len(poor) > len(channels):
-        told = ", ".join(f"{c.least_squares:.3g} of {c.measured:.3g} {c.unit} of {c.name}" for c in poor)
-        return Objection(
-            "poor",
-            f"the declared physics explains next to nothing of what was measured: it leaves {told}",
-            "record runs in which the machine moves, or look for a column of another run, a wrong model or unit",
-        )
-    return None
+    return objection("poor", poor=poor) if channels and 2 * len(poor) > len(channels) else None
 
 
 def _gone(rough: Regression, theta: Array, covariance: Array | None, now: Sequence[Left]) -> Objection | None:
@@ -282,17 +253,7 @@ def _gone(rough: Regression, theta: Array, covariance: Array | None, now: Sequen
             gone.setdefault(now[moved].name, []).append(
                 f"{vector.labels[j]} {theta[j]:.2g} {vector.units[j]} (first value {vector.start[j]:.3g})"
             )
-    if not gone:
-        return None
-    told = ", ".join(name for names in gone.values() for name in names)
-    return Objection(
-        "gone",
-        f"the fit explains nothing of {', '.join(gone)} and is sure that next to nothing moves them: {told}",
-        "the states may have been smoothed, differentiated or filtered before they were logged, inputs and states "
-        "may be of different times, or a lag or a steady push is not declared: log raw sensors, declare it "
-        "(system.effects=[motor_lag]; `nsde diagnose` names effects), or give first values",
-        tuple(gone),
-    )
+    return objection("gone", gone=gone, of=tuple(gone)) if gone else None
 
 
 def _apart(c: Compared) -> bool:

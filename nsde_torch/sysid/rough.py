@@ -24,6 +24,7 @@ from nsde_torch.sysid.physics import Physics
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
+from nsde_torch.texts import rendered
 
 MEANS_S = 0.15  # length of the boxes [s]
 ITERATIONS = 10
@@ -74,6 +75,12 @@ class Objection:
         out = {**asdict(self), "channels": list(self.channels)}
         del out["share"]
         return out
+
+
+def objection(kind: str, *, of: tuple[str, ...] = (), **values: Any) -> Objection:
+    """An objection of a kind in the words of `templates/objections.txt`, of some channels; of all if none are named."""
+    sentence, remedy = rendered(__file__, "objections.txt", kind=kind, **values).splitlines()
+    return Objection(kind, sentence, remedy, of)
 
 
 @dataclass(frozen=True)

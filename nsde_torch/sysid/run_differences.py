@@ -22,7 +22,7 @@ from nsde_torch.errors import NsdeError
 from nsde_torch.inference.spread import spread
 from nsde_torch.sysid.physics import per_second
 from nsde_torch.sysid.regression import Regression
-from nsde_torch.sysid.rough import Objection
+from nsde_torch.sysid.rough import Objection, objection
 
 SHARE = 0.1
 """Relative difference that batteries, air and what is missing make, beside the share s^2 that is left."""
@@ -53,17 +53,8 @@ def odd_run(regression: Regression, rough: Regression, runs: Sequence[Run]) -> O
     unit = "" if unit == "1" else f" {unit}"
     shapes = {k for name in vector.system.effect_names for k in {*vector.of(name)} - {*vector.sizes(name)}}
     times = _all_alike([one for (run, k), one in sure.items() if run == r and k not in shapes])
-    mass = ""
-    if times:
-        mass = f", and all its gains are {times:.3g} times those of the others, as with {1.0 / times:.3g} times the "
-        mass += "mass or inertia"
-    return Objection(
-        "odd_run",
-        f"{runs[r].name!r} differs from the other runs: {label} is {own:.3g}{unit} in it and {others:.3g}{unit} in the "
-        f"others{mass}",
-        "if it is of another machine, with a load, or after a repair, leave it out (one machine to a data set); "
-        "otherwise look whether one of its columns is of another run",
-    )
+    values = {"label": label, "unit": unit, "own": own, "others": others, "times": times}
+    return objection("odd_run", name=repr(runs[r].name), **values)
 
 
 @dataclass(frozen=True)
@@ -164,13 +155,8 @@ def unexplained_runs(rough: Regression, runs: Sequence[Run]) -> list[Objection]:
             order = [i, *(c for c in np.flatnonzero(odd).tolist() if c != i)]
             names = [rough.physics.names[rough.rows[c]] for c in order]
             unit = per_second(rough.physics.units[rough.rows[i]])
-            said = (
-                f"{runs[r].name!r} is not explained by the declared physics, whatever its parameters, and the other "
-                f"runs are ({', '.join(names)}): of {names[0]} it leaves {left[k, i]:.3g} {unit} in it and "
-                f"{rest[i]:.3g} in the others"
-            )
-            what = "look whether one of its columns, an input first, is of another run or another time; or leave it out"
-            out.append(Objection("unexplained_run", said, what))
+            values = {"channels": names, "own": left[k, i], "others": rest[i], "unit": unit}
+            out.append(objection("unexplained_run", name=repr(runs[r].name), **values))
     return out
 
 

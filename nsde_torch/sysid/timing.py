@@ -19,7 +19,7 @@ from nsde_torch.data.system_info import common_name, derivative_columns, rate_co
 from nsde_torch.recording.latency import moved
 from nsde_torch.sysid.measured_inputs import later
 from nsde_torch.sysid.regression import Regression
-from nsde_torch.sysid.rough import beginnings, left_at, rough_fit
+from nsde_torch.sysid.rough import Objection, beginnings, left_at, objection, rough_fit
 from nsde_torch.systems import System
 
 STEP_S = 0.03  # distance of the shifts that are compared [s]
@@ -50,31 +50,9 @@ class Shifted:
         return self.inputs and -ACTUATOR_S < self.seconds < 0
 
     @property
-    def sentence(self) -> str:
-        """What was found."""
-        by = f"about {1e3 * abs(self.seconds):.0f} ms"
-        if self.inputs and self.seconds < 0:
-            told = f"{self.stream} act {by} later than they are logged"
-        else:
-            told = f"{self.stream} are logged {by} {'late' if self.seconds > 0 else 'early'} against the other columns"
-        return f"{told}: moved, the declared physics leaves {np.exp(self.gain):.2g} times less of all rates together"
-
-    @property
-    def remedy(self) -> str:
-        """What to do."""
-        if self.of_actuators:
-            return "declare what delays them (system.effects=[motor_lag] or [input_delay]; `nsde diagnose` tells which)"
-        why = [f"{', '.join(self.against)} fit best as they are"] if self.against else []
-        why += [f"{', '.join(self.smoothed)} were smoothed before they were logged"] if self.smoothed else []
-        if why:
-            return (
-                f"do not shift these columns: {' and '.join(why)}, and these data cannot tell a shift from a lag and a "
-                "smoother together; log states as the sensors read them, and inputs with the time at which each was "
-                "sent, all on one clock"
-            )
-        return (
-            "shift these columns against the others before writing the log, or log all streams on one clock"
-        )
+    def objection(self) -> Objection:
+        """What was found, and what to do."""
+        return objection("shifted_stream", s=self, times=np.exp(self.gain))
 
 
 def shifted_stream(system: System, runs: Sequence[Run], clock: float, rough: Regression) -> Shifted | None:

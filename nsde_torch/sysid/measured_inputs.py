@@ -42,6 +42,7 @@ from nsde_torch.errors import ConfigError, DataError, NonFiniteError
 from nsde_torch.inference.estimate import LogLikelihood, nearly_maximised
 from nsde_torch.sysid.rough import beginnings
 from nsde_torch.systems import System
+from nsde_torch.texts import rendered
 
 NATS = 5.0
 """By which a log must be likelier with another reading of its inputs; one that does nothing brings 0 +- 1."""
@@ -388,49 +389,27 @@ def around_levels(runs: Sequence[Run], column: int) -> NoisyInput | None:
     return NoisyInput(column, np.sort(levels), float(np.sqrt(squares / count)))
 
 
-_KEEP = "`data.state_smoothing=keep` leaves them as they are"
-
-
 def _noise_found(one: NoisyInput, system: System, nats: float) -> Finding:
     name, unit = system.input_names[one.column], system.input_units[one.column]
     digits = max(0, 1 - int(np.floor(np.log10(one.std))))
     levels = ", ".join(f"{round(level, digits) + 0.0:g}" for level in one.levels.tolist())
-    return Finding(
-        "input_noise",
-        "",
-        1,
-        f"{name} holds noise of {one.std:.2g} {unit} about the levels {levels} that does not move the machine (the log "
-        f"is likelier by {nats:.0f} nats without it); values near a level are read as this level. {_KEEP}",
-        "taken out",
-        {"input": name, "levels": one.levels.tolist(), "noise": one.std, "nats": nats},
-    )
+    told = {"name": name, "std": one.std, "unit": unit, "levels": levels, "nats": nats}
+    text = rendered(__file__, "recording.txt", what="levels", **told)
+    values = {"input": name, "levels": one.levels.tolist(), "noise": one.std, "nats": nats}
+    return Finding("input_noise", "", 1, text, "taken out", values)
 
 
 def _white_noise_found(system: System, std: Array, nats: float) -> Finding:
-    names, units = system.input_names, system.input_units
-    sizes = {
-        f"{value:.2g} {unit}".removesuffix(" 1") for value, unit in zip(std.tolist(), units, strict=True)
-    }
+    names = system.input_names
+    pairs = zip(std.tolist(), system.input_units, strict=True)
+    sizes = {f"{value:.2g} {unit}".removesuffix(" 1") for value, unit in pairs}
     size = " to ".join(sorted(sizes)[:: max(1, len(sizes) - 1)])
-    hold = "hold" if len(names) > 1 else "holds"
-    return Finding(
-        "input_noise",
-        "",
-        1,
-        f"{', '.join(names)} {hold} white noise that does not move the machine, with a standard deviation of {size}: "
-        f"the log is likelier by {nats:.0f} nats without it. What their spectra tell of it is taken out. {_KEEP}",
-        "taken out",
-        {"inputs": list(system.input_names), "noise": std.tolist(), "nats": nats},
-    )
+    text = rendered(__file__, "recording.txt", what="white", names=names, size=size, nats=nats)
+    values = {"inputs": list(names), "noise": std.tolist(), "nats": nats}
+    return Finding("input_noise", "", 1, text, "taken out", values)
 
 
 def _between_rows_found(system: System, nats: float) -> Finding:
-    return Finding(
-        "input_between_rows",
-        "",
-        1,
-        f"{', '.join(system.input_names)} moved between the rows of the log and were measured at each: over a step "
-        f"acts the mean of its two rows (the log is likelier by {nats:.0f} nats than where values are held). {_KEEP}",
-        "averaged",
-        {"inputs": list(system.input_names), "nats": nats},
-    )
+    names = system.input_names
+    text = rendered(__file__, "recording.txt", what="between_rows", names=names, nats=nats)
+    return Finding("input_between_rows", "", 1, text, "averaged", {"inputs": list(names), "nats": nats})

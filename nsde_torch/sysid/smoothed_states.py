@@ -55,6 +55,7 @@ from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.response_ends import NATS, ends_of_response
 from nsde_torch.sysid.rough import rough_fit
 from nsde_torch.systems import System
+from nsde_torch.texts import rendered
 
 MISFIT, GAIN = 2.0, 3.0
 """Deviance per bin of a spectrum without a smoother, above which one is looked for; and how many times smaller it must
@@ -136,24 +137,13 @@ class Smoothed:
         """What the data summary says."""
         names = [name for one in self.behind for name in one.sensor.names]
         whole, low = all(one.restored for one in self.behind), min(one.reach for one in self.behind)
-        if whole:
-            what = f"restored up to {low:.3g} Hz; above, white noise as large as the sensor's stands in"
-        else:
-            what = f"white noise is added, so that nothing is read from above {low:.3g} Hz"
-            what = what if self.by_response else f"no known filter fits well: {what}"
         through = f"{self.smoother} (|S| = 0.7 at {self.smoother.falls_to(0.7):.3g} Hz)"
-        if self.by_response:
-            found = (
-                f"do not show what the inputs do above {low:.3g} Hz: they went through a smoother, as {through}, or "
-                "the logged inputs hold noise of their own"
-            )
-        else:
-            found = f"went through {through}, by what it left of their noise"
+        told = {"whole": whole, "low": low, "through": through, "by_response": self.by_response}
         return Finding(
             "state_smoothing",
             "",
             len(names),
-            f"{', '.join(names)} {found}; {what}. `data.state_smoothing=keep` leaves them as they are",
+            rendered(__file__, "recording.txt", what="smoothed", names=names, **told),
             "restored" if whole else "noise added",
             {
                 "states": names,

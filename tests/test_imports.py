@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 # Each part may import itself and what it names here.
-TOOLS = ("cache", "lazy", "progress", "recall", "threads", "time_limit", "whole_files")
+TOOLS = ("cache", "lazy", "progress", "recall", "texts", "threads", "time_limit", "whole_files")
 ALONE = ("aligned", "arrays", "errors", "jit", *TOOLS)
 ONLY_ERRORS = ("options", "columns", "lookup", "plain_yaml", "shown")
 BASE = {*ALONE, *ONLY_ERRORS, "rotation"}

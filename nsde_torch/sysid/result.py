@@ -15,6 +15,7 @@ from nsde_torch.sysid.physics import Channel
 from nsde_torch.sysid.regression import Shown, sentences
 from nsde_torch.sysid.standstill import in_words
 from nsde_torch.systems.parameters import ParameterVector
+from nsde_torch.texts import rendered
 
 
 @dataclass(frozen=True)
@@ -94,19 +95,7 @@ class Identification:
         wide = [i for i in range(len(labels)) if errors[i] == errors[i] and doubt[i] > 0.5 * errors[i]]
         by = [labels[i] for i in wide if moved is not None and moved[i]]
         rest = [labels[i] for i in wide if moved is None or not moved[i]]
-        out = []
-        if by:
-            out.append(
-                f"intervals of {', '.join(by)} are widened: the data do not tell how inputs move between rows of the "
-                "log; log faster"
-            )
-        if rest:
-            out.append(
-                f"intervals of {', '.join(rest)} are widened by what feedback may hide: inputs may know {FACTOR:g} "
-                "times as much of a step as they can be seen to know of later ones; without signals from outside the "
-                "loop no data can say more"
-            )
-        return out
+        return rendered(__file__, "widened.txt", by=by, rest=rest, factor=FACTOR).splitlines()
 
     @property
     def findings(self) -> list[str]:

@@ -4,26 +4,22 @@ With e_k the innovations of the channels that inputs drive (what a step brings t
 noise and the past do not predict), and v_k those of the inputs (against their own past), score tests (`signals`) of
 
 - feedback: v_{k+l} on e_k, l = 1, 2, ..., in six bins, one of them surely or all together (Fisher's sum).
-- knowledge: e_k on u_k, u_{k-1}, ..., beyond what the parameters and the noise model took out: the controller saw more
-  than the log holds, or the inputs act in a way that is not declared (a lag, a delay). Second moments of inputs and
-  states alone do not distinguish the two (Ljung, System Identification, 1999, section 13.4).
+- knowledge: e_k on u_k, u_{k-1}, ..., beyond what the parameters and the noise model took out.
 - made: v_k on states of rows before, which a controller makes inputs from, whatever its sensors.
 
-Beside these
+Beside these, of directions of the inputs (docs/content/theory/feedback.md):
 
-- other sensors: in a closed loop, directions that are a function of the state to a quarter and hardly answer any
-  channel which they drive: those made from a logged state answer the noise of its sensor too.
-- exact: a direction that is a linear function of logged rows and of the inputs before them more exactly than it answers
-  the noise of their sensors was made from these rows, by no other sensor, whatever else it follows at times.
-- new: the share of the inputs that is no function (of second degree) of the logged state. Where it is small in a closed
-  loop, gains rest on what was assumed of the noise (Soderstrom, Gustavsson and Ljung, International Journal of Control
-  21 (1975)).
+- other sensors: in a closed loop, those that are a function of the state to a quarter and hardly answer any channel
+  which they drive.
+- exact: those that are a linear function of logged rows and of the inputs before them more exactly than they answer the
+  noise of their sensors: they were made from these rows, by no other sensor, whatever else they follow at times.
+- new: the share that is no function (of second degree) of the logged state. Where it is small in a closed loop, gains
+  rest on what was assumed of the noise (Soderstrom, Gustavsson and Ljung, International Journal of Control 21 (1975)).
 - between: a controller with sensors and a clock of its own may move its inputs between rows of the log, by half of
   their change from row to row, always to the same side. What it does is a linear function of the states and of the
   inputs of neighbouring rows; an estimate is biased as far as it lies along these.
 
 Assumed, not checked: logged inputs are those that were commanded; the step of the log is the step of the inputs.
-Measurements: docs/content/theory/feedback.md.
 """
 
 from collections.abc import Sequence

@@ -5,17 +5,12 @@
     the first values     theta_0
     nothing              what was measured
 
-all judged by what they leave of the rates in these means, without the mean over each run. Noise of the states and
-feedback pull least squares towards nothing, a noise model that learned a smoother or a lag pulls the fit there: that
-decides which of them is accepted (docs/content/theory/identification.md). "Surely" is one test of all parameters,
-d' (V + W)^-1 d for the difference d of two fits with covariances from blocks of time. Before come interpretations of
-the columns (`readings`), streams of another time (`timing`) and runs of another machine (`run_differences`): where the
-log is at fault, fits part for that reason.
-
-**Longer boxes** do not hold the band in which a noise model learns a smoother, a differentiated encoder or a friction.
-Where least squares, the first values or a parameter that has vanished speak against a fit, it is made again with boxes
-of `LENGTHS_S`, and taken where the guard accepts both. Feedback and fast physics bias longer boxes more: intervals
-widen by what parameters change from the one to the other.
+all judged by what they leave of the rates in these means, without the mean over each run. What decides which of them is
+accepted, and the longer boxes that are tried where a noise model may have learned the physics, is in
+docs/content/theory/identification.md. "Surely" is one test of all parameters, d' (V + W)^-1 d for the difference d of
+two fits with covariances from blocks of time. Before come interpretations of the columns (`readings`), streams of
+another time (`timing`) and runs of another machine (`run_differences`): where the log is at fault, fits part for that
+reason.
 """
 
 from collections.abc import Iterable, Sequence

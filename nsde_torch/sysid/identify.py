@@ -7,16 +7,15 @@ correlations: Cinelli and Hazlett, Journal of the Royal Statistical Society B 82
     sum_i z_i sqrt((M^-1 M_i M^-1)_jj),     M_i = X_i' X_i,   M = sum_i M_i
 
 with X_i the whitened slopes of channel i, and z_i the length of the part of its residuals that these predict and the
-fit has swallowed (`FeedbackTest.hidden`, by two assumptions that no data can test). With instruments only inputs that
-move between rows of the log count, and what estimates owe to parameters that the instruments do not show. Where inputs
-may have moved so, instruments are used with inputs held and with the mean of each row and the next; the smaller
-statistic of Sargan decides, and what it cannot decide widens the interval (docs/content/theory/feedback.md).
+fit has swallowed (`FeedbackTest.hidden`). With instruments only inputs that move between rows of the log count, and
+what estimates owe to parameters that the instruments do not show. Where inputs may have moved so, instruments are used
+with inputs held and with the mean of each row and the next; the smaller statistic of Sargan decides, and what it cannot
+decide widens the interval.
 
 Values and intervals are those of largest likelihood (`nsde_torch.inference`), unless simple fits speak against it,
-states were smoothed before they were logged, or innovations are not white; then the regression's stay.
-
-Rates that no sensor measured are inferred from positions with the physics in the loop, by a filter that knows no later
-row: what it lacks is independent of the noise that comes. Physics and rates settle in turn (`in_turn`).
+states were smoothed before they were logged, or innovations are not white; then the regression's stay. Rates that no
+sensor measured are inferred from positions with the physics in the loop, by a filter that knows no later row: what it
+lacks is independent of the noise that comes. Physics and rates settle in turn (`in_turn`).
 """
 
 import copy

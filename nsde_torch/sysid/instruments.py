@@ -1,4 +1,4 @@
-"""Estimates from signals outside the loop: instrumental variables.
+"""Estimates from signals outside the loop: instrumental variables (docs/content/theory/feedback.md).
 
 A signal z that no disturbance moves (a pilot's stick, a setpoint) moves the inputs all the same, and what of them it
 moves is free of disturbances:
@@ -8,10 +8,10 @@ moves is free of disturbances:
 
 (two-stage least squares: Soderstrom and Stoica, Instrumental Variable Methods for System Identification, 1983), the
 first stage fitted on other blocks than it predicts (Angrist, Imbens and Krueger, Journal of Applied Econometrics 14
-(1999)). Tested and reported (docs/content/theory/feedback.md) are exogeneity; strength, by F of the slope of each
-parameter on its own part of H (Staiger and Stock, Econometrica 65 (1997)), below which it keeps its own slopes: the
-ordinary estimate; the difference from that (Hausman, Econometrica 46 (1978)), by the jackknife of the difference; and
-whether all that instruments do is explained (Sargan, Econometrica 26 (1958)), which a missing lag is not.
+(1999)). Tested are exogeneity; strength, by F of the slope of each parameter on its own part of H (Staiger and Stock,
+Econometrica 65 (1997)), below which it keeps its own slopes; the difference from the ordinary estimate (Hausman,
+Econometrica 46 (1978)), by its jackknife; and whether all that instruments do is explained (Sargan, Econometrica 26
+(1958)), which a missing lag is not.
 """
 
 from collections.abc import Sequence

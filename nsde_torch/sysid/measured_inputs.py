@@ -1,25 +1,18 @@
 """Inputs as a sensor measured them, which is not how they act: noise about levels, white noise, motion between rows.
 
-A log of commands holds each from its row to the next. A log of what a load cell or a tachometer measured does not.
+A log of commands holds each from its row to the next. A log of what a load cell or a tachometer measured does not, and
+what is read wrongly passes for a saturation, a dead band or a memory (docs/content/theory/recording.md):
 
-- *Noise about levels.* A force of two levels is, as a regressor, these levels and noise. A function that flattens it, a
-  saturation just below the level or a dead band, removes the noise and explains the motion better, surely: a level of
-  0.55 for a force of 0.6 that nothing cut, with a gain of 1.31 for 1.2. So the noise goes first: x' = f(x, l(u)), with
-  l(u) the level that u is near, or u where it is near none.
-- *White noise.* What acted is what is to be expected of an input, given the log: that through 1 - 2 s^2 / S(f), with S
-  its spectrum and s^2 the variance of the noise (Wiener), or u_k - s^2 / S^2 e_k, with e_k of variance S^2 what the
-  rows before do not predict of it. The first knows more, but in a loop rows after k answer what pushed the machine at
-  k. As logged, inputs of a moment before say more than this one alone does, which looks like a memory in machines from
-  which nothing is missing.
-- *Motion between rows.* What an actuator of 30 ms does between two rows is nearer to the mean of both than to the
-  first: held, a force is half a step late and too sharp. A saturation again takes the sharpness, with a gain of 1.29
-  for 1.2. So x' = f(x, (u_k + u_{k+1}) / 2) over the step.
+    noise about levels     x' = f(x, l(u)), l(u) the level that u is near, or u where it is near none
+    white noise            u through 1 - 2 s^2 / S(f), with S its spectrum and s^2 its variance (Wiener), or
+                           u_k - s^2 / S^2 e_k, with e_k of variance S^2 what the rows before do not predict of it: the
+                           first knows more, but in a loop rows after k answer what pushed the machine at k
+    motion between rows    x' = f(x, (u_k + u_{k+1}) / 2) over the step
 
 Each is fitted beside what was logged, and taken where the log is likelier with it by `NATS`: 10 to 2,600 of noise about
-levels of springs, pendulums and arms, 20 to 200 of white noise, 40 to 180 of what moves between rows; -403 where a
-controller moved what is near a level, -7 to -12,000 of means of commands that are held, in loops too: there u_{k+1}
-answers what pushed the machine over the step against the sign with which it would push. Nor may a lag, a delay, play,
-a dead band or a limit that nobody declared explain as much as noise does, or a hidden mass as much as means.
+levels of springs, pendulums and arms, 20 to 200 of white noise, 40 to 180 of what moves between rows; -7 to -12,000 of
+means of commands that are held, in loops too. Nor may a lag, a delay, play, a dead band or a limit that nobody declared
+explain as much as noise does, or a hidden mass as much as means.
 """
 
 import copy

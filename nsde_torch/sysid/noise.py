@@ -3,27 +3,24 @@
     (1 + a_1 B + ... + a_p B^p) r_k = (1 - c B) e_k,      B r_k = r_{k-1},      e white
 
 an autoregression for what lasts, a moving average for the difference of two errors of the sensor; second differences of
-a position, which replace a rate that no sensor measured, have (1 - c B)^2. Whitening is causal, so that a whitened row
-knows no input that reacts to it: that keeps feedback from biasing the estimate (Ljung, System Identification, 1999,
-section 13.4).
+a position, which replace a rate that no sensor measured, have (1 - c B)^2. Whitening is causal, which keeps feedback
+from biasing the estimate (Ljung, System Identification, 1999, section 13.4).
 
 - c, p: least Akaike score of the exact likelihood of the moving average with the error e before the first row for
   an unknown of its own; c is at most `limit`, which follows from noise that is known to be there.
 - a: Burg's method over all stretches, as reflection coefficients; rows near a start use the lower orders. Then a_j is
   multiplied by exp(-j / m): noise forgets within m rows. What lasts longer, as thrust that falls from take-off to
-  landing, must not pass for noise: rows would be weighed as if they knew nothing of it.
+  landing, must not pass for noise.
 
 **Feedback.** An input that was made from an attitude knows of the gyro's error before the gyro's channel does, and the
-estimate is biased (a motor's lag by 3 %). So what the past of kinematic residuals predicts is taken out of a whitened
-residual (`past`):
+estimate is biased (a motor's lag by 3 %). So what the past of kinematic residuals predicts is taken out (`past`):
 
     s = measured minus integrated change of the states that no parameter moves,   S_j = sum_i c_j^i s_{k-1-i}
     e_k <- e_k - S_k b,    b by least squares (multivariate prediction errors: Ljung, 1999, section 7.2)
 
-A gentle flight in gusts has little in its inputs but answers to what struck it. With `channels` the past of the
-residuals of the channels themselves is taken out too: what is left is new to inputs that were made from the log, and
-the estimate is right whatever the laws are (an instrumental variable; Soderstrom and Stoica, 1983), at the price of
-wider intervals (docs/content/theory/identification.md and feedback.md).
+With `channels` the past of the residuals of the channels themselves is taken out too, as a gentle flight in gusts has
+little in its inputs but answers to what struck it: what is left is new to inputs that were made from the log, and the
+estimate is right whatever the laws are (an instrumental variable; Soderstrom and Stoica, 1983), with wider intervals.
 """
 
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""Least-squares identification of declared physics from runs.
+"""Least-squares identification of declared physics from runs (docs/content/theory/identification.md).
 
 Weak form with boxes of one step for test functions (`physics`), whitened by a law of the noise of every channel that
 comes from the residuals themselves (`noise`); theta and the laws are found in turn,
@@ -6,19 +6,17 @@ comes from the residuals themselves (`noise`); theta and the laws are found in t
     theta <- theta + argmin_d sum_i | P_i (r_i(theta) - J_i d) |^2,        P_i <- noise model of r_i(theta)
 
 until theta moves by less than a fiftieth of its standard error; first with the law of sensor noise alone until theta
-is within its standard error, because a richer law would learn what a wrong theta leaves (where nothing is left but
-rounding, that is all). These are Gauss-Newton steps, halved while they do not pay; one per law is exact where the drift
-is linear in theta. The covariance (`spread`) counts that P was fitted too: where an input reacts to noise, theta and P
-are not independent.
+is within its standard error. These are Gauss-Newton steps, halved while they do not pay; one per law is exact where the
+drift is linear in theta. The covariance (`spread`) counts that P was fitted too: where an input reacts to noise, theta
+and P are not independent.
 
 With X the whitened slopes, a direction d is lost where |X d| is nothing: beside rounding (a singular value of the
 columns scaled to equal length below 1e-5 of the largest, since inputs are often logged in single precision), or
 beside the noise (it could move by a thousand typical sizes unseen). No step is made along what is lost (`shown`).
 
-**Narrow shapes**, such as the width at which a friction is developed, are kept within a few times the sizes of the data
-(`ParameterVector.limit`), and the truth may be narrower. A fit that ends at such a bound is biased in what the width
-trades with by more than its interval (a friction near rest by 10 %). From there the bound is moved, and the fit goes on
-while that leads anywhere (`narrower`).
+Narrow shapes, such as the width at which a friction is developed, are kept within a few times the sizes of the data
+(`ParameterVector.limit`). A fit that ends at such a bound is biased in what the width trades with by more than its
+interval, so the bound is moved from there, and the fit goes on while that leads anywhere (`narrower`).
 
 Assumed, not checked: an input or a first state moves the system, and not noise alone (a decay can also be one of the
 noise), and inputs are those that acted (smoothed ones lose against a noise model: take `differences`).

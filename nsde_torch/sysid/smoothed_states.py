@@ -1,16 +1,14 @@
 """States that were smoothed before they were logged, by what, and as they were before.
 
-What a smoother took away, a noise model takes for noise that is not there, and gains go to nothing, surely. A motion
-alone ends in the white noise of the sensor, and not in the log's digits. A log was smoothed where it ends in no such
-noise, and where position and integrated rate do not agree in the band in which S falls, or its spectrum vanishes
-between others that do not, or else the declared physics predicts changes better behind S, each with the lag and the
-delay of actuators that suit it best. Physics is not asked where kinematics or zeros show it: in a closed loop inputs
-answer the noise of sensors (docs/content/theory/recording.md). Of sensors in which nothing was found by their noise, it
-is asked what they show of the inputs (`response_ends`).
+A motion alone ends in the white noise of the sensor, not in the log's digits. A log was smoothed where it ends in no
+such noise, and where kinematics, zeros of its spectrum or else the declared physics say so, as
+docs/content/theory/recording.md has it. Physics is not asked where kinematics or zeros show it: in a closed loop inputs
+answer the noise of sensors. Of sensors in which nothing was found by their noise, it is asked what they show of the
+inputs (`response_ends`).
 
 An estimator integrates body rates to an attitude. Its error is an integral too, which falls with the frequency as
-behind a filter of first order; restored, it would put an attitude that was on time 13 ms before its rates (seen in logs
-of a real PX4 at 250 Hz: filters of 40 Hz on the rates, which was so, and of 12 Hz on the attitude, which was not). With
+behind a filter of first order; restored, it would put an attitude that was on time 13 ms before its rates (logs of a
+real PX4 at 250 Hz). With
 
     d(S) = - d arg S / d(2 pi f) at f = 0
 
@@ -19,10 +17,8 @@ two, that one is no smoother. **Restored** states are
 
     x = S^-1 x_log below f_r,        white noise above,
 
-with f_r where S has fallen to a hundredth, or to what rounding left, or to which smoothers that fit about as well
-agree, and noise much larger than what moves at f_r: what moves above is absent, and must not weigh. Where S fits none
-of the families (`recording.smoothers`), or only roughly, white noise is added from where S begins to fall, and nothing
-is restored. Noise is of a fixed seed; ends of stretches, where nobody knows how the smoother began, are left out.
+and noise much larger than what moves at f_r: what moves above is absent, and must not weigh. Noise is of a fixed seed;
+ends of stretches, where nobody knows how the smoother began, are left out.
 
 A longer step hides what the log shows: a rate that is 3 ms late, a filter at 100 Hz. So streams, sensors and smoothers
 are looked for in the rows as they were logged, and states restored on the longer step (`undone_at_own_rate`).

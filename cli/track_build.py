@@ -83,12 +83,7 @@ def set_to(key: str, states: Any, system: System, *, duration: float = 1.0) -> S
     return setpoint(system, states, duration=duration)
 
 
-_IN_FILES = (
-    *("low", "high", "horizon", "steps", "state_weights", "input_weight", "input_centre", "rate_weight"),
-    *("speed_limit", "tilt_limit", "fence", "limit_weight", "uncertainty_weight", "particles"),
-    *("iterations", "tolerance", "deadline", "keep", "jump"),
-)
-"""Keys of `mpc` that are fixed when a controller is exported."""
+_NOT_IN_FILES = ("compile", "cache")  # of the keys of `mpc`; others are fixed when a controller is exported
 _MOTOR_LATENCY = 0.02  # measured best on machines whose motors lag 50 ms
 _LAGS = {"motor_lag", "actuator_lag", "asymmetric_lag", "input_delay"}
 
@@ -262,10 +257,10 @@ def agreed(file: ExportedController, mpc: DictConfig) -> None:
     given = settings(*planning(mpc).values())
     plain = settings(*planning(OmegaConf.structured(MpcConfig)).values())
     kept = settings(file.options, file.solver.options, file.safety)
-    for name in (*_IN_FILES, "solver"):
-        if given[name] not in (plain[name], kept[name]):
+    for name, value in given.items():
+        if name not in _NOT_IN_FILES and value not in (plain[name], kept[name]):
             raise ConfigError(
-                f"`mpc.{name}` is {given[name]} here, and {file.path} was exported with {kept[name]}, which is what it "
+                f"`mpc.{name}` is {value} here, and {file.path} was exported with {kept[name]}, which is what it "
                 "does. Leave it out, or export anew."
             )
 

@@ -22,15 +22,11 @@ from nsde_torch.systems import Multirotor
 from nsde_torch.systems.multirotor import GRAVITY
 
 # gains along x, y, z, or of roll, pitch and yaw [1/s]
-POSITION, VELOCITY = (
-    (0.8, 0.8, 1.5),
-    (1.6, 1.6, 3.5),
-)  # velocity per position error, acceleration per velocity error
+# velocity per position error, acceleration per velocity error
+POSITION, VELOCITY = (0.8, 0.8, 1.5), (1.6, 1.6, 3.5)
 INTEGRAL = (0.25, 0.25, 0.8)  # growth per velocity error [1/s2]
-ATTITUDE, RATE = (
-    (6.0, 6.0, 2.5),
-    (11.0, 11.0, 5.0),
-)  # rate per attitude error, angular acceleration per rate error
+# rate per attitude error, angular acceleration per rate error
+ATTITUDE, RATE = (6.0, 6.0, 2.5), (11.0, 11.0, 5.0)
 TILT, INTEGRAL_LIMIT = radians(40.0), 2.0  # largest tilt [rad] and integral [m/s2]
 
 

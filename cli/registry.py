@@ -1,16 +1,17 @@
-"""The commands of `nsde`, each one line here and one file.
+"""The commands of `nsde`, each a name here and one file.
 
 The file holds a `COMMAND`: a `HydraCommand` (name, schema, groups, folder) beside the function `run(config, job)`
 that does its work, or a `PlainCommand` for one that Hydra does not configure. It is imported when its command is
 called, so that listing the commands costs no import of Hydra or torch. What is heavy, torch above all, is imported
 inside `run`: help, completion and the parent process of a launcher do without it.
 
-Another package adds a command with an entry point of the group `nsde_torch.commands`, whose value is the module. The
-first line of the module's docstring is what `nsde --help` and its own help say of it: "`nsde NAME`: what it does".
+The first line of its docstring is what `nsde --help` and its own help say of it: "`nsde NAME`: what it does". Another
+package adds a command with an entry point of the group `nsde_torch.commands`, whose value is the module.
 """
 
 from __future__ import annotations
 
+import ast
 import importlib
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -44,11 +45,21 @@ class PlainCommand:
 
 @dataclass(frozen=True)
 class CommandEntry:
-    """One line of the table: the file of a command, and what `nsde --help` and its own help say of it."""
+    """One line of the table: the file of a command."""
 
     module: str  # module with the `COMMAND`
-    summary: str
     package: str | None = None  # installed package that adds the command; None for a command of the table
+
+    @property
+    def summary(self) -> str:
+        """What `nsde --help` and its own help say of it: the first line of its docstring, without its name."""
+        file = _file_of(self.module)
+        try:
+            line = (ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or "").partition("\n")[0]
+        except (OSError, ValueError, SyntaxError):
+            line = ""
+        words = line.rpartition("`: ")[2].strip().removesuffix(".")
+        return words[:1].upper() + words[1:] or f"A command of the package {self.package}"
 
     def load(self) -> Command:
         """Import the file of the command; ConfigError where that of another package fails."""
@@ -65,27 +76,11 @@ class CommandEntry:
 
 
 COMMANDS: dict[str, CommandEntry] = {
-    name: CommandEntry(f".commands.{name.replace('-', '_')}", summary)
-    for name, summary in {
-        "inspect": "List what is in a log of any format, propose what its columns mean, and check it",
-        "train": "Learn a neural SDE of a machine from simulated or measured runs",
-        "diagnose": "Find the effect that the declared physics lacks, add it, and report the errors",
-        "serve": "Open a page on this machine that takes dropped logs and gives their diagnosis",
-        "design": "Plan the most informative experiment, or report the evidence of one that was flown",
-        "evaluate": "Score trained models on runs, against baselines and each other",
-        "policy": "Learn a policy in a learned model or on the true machine, and judge it there",
-        "track": "Follow a reference with model predictive control on a learned model",
-        "fly": "Fly a controller on a PX4 vehicle over MAVLink, with checks, limits and a log",
-        "land": "Land a PX4 vehicle that is in the air, and watch until it is disarmed",
-        "export": "Write the predictive controller as a file for a flight computer",
-        "verify": "Hold an exported controller against the one that it was made of",
-        "vehicle": "Be a simulated PX4 vehicle, for nsde fly and its tests",
-        "close-loop": "Fly, find what the physics lacks, and fly again with it: tracking before and after",
-        "simulate": "Write runs of a simulated machine as files that do not say what is in them",
-        "effects": "List the physical effects that a system or a plant can be given",
-        "sweep-report": "Rank the jobs of a sweep, and name those that failed and why",
-        "completion": "Print the shell completion script for bash, zsh or fish",
-    }.items()
+    name: CommandEntry(f".commands.{name.replace('-', '_')}")
+    for name in (
+        *("inspect", "train", "diagnose", "serve", "design", "evaluate", "policy", "track", "fly", "land"),
+        *("export", "verify", "vehicle", "close-loop", "simulate", "effects", "sweep-report", "completion"),
+    )
 }
 
 
@@ -93,32 +88,23 @@ def installed() -> dict[str, CommandEntry]:
     """Commands of other packages: their entry points of the group `nsde_torch.commands`."""
     from importlib.metadata import entry_points
 
-    found = {}
-    for point in entry_points(group="nsde_torch.commands"):
-        package = point.dist.name if point.dist else "?"
-        if point.name not in COMMANDS:
-            summary = _summary(point.module) or f"A command of the package {package}"
-            found[point.name] = CommandEntry(point.module, summary, package)
-    return found
+    points = [p for p in entry_points(group="nsde_torch.commands") if p.name not in COMMANDS]
+    return {p.name: CommandEntry(p.module, p.dist.name if p.dist else "?") for p in points}
 
 
-def _summary(module: str) -> str:
-    """The first line of a module's docstring without the command's name. The file is read and nothing is imported."""
-    import ast
+def _file_of(module: str) -> Path:
+    """Where a module is, found without importing anything; a path that is none where it is not found."""
     from importlib.util import find_spec
 
     top, *below = module.split(".")
+    if not top:  # one of ours
+        return Path(__file__).parent.joinpath(*below).with_suffix(".py")
     try:
         spec = find_spec(top)
-        if spec is None or spec.origin is None:
-            return ""
-        path = Path(spec.origin)
-        path = path.parent.joinpath(*below).with_suffix(".py") if below else path
-        line = (ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or "").partition("\n")[0]
-    except (ImportError, OSError, ValueError, SyntaxError):
-        return ""
-    words = line.rpartition("`: ")[2].strip().removesuffix(".")
-    return words[:1].upper() + words[1:]
+    except (ImportError, ValueError):
+        spec = None
+    path = Path(spec.origin if spec and spec.origin else "")
+    return path.parent.joinpath(*below).with_suffix(".py") if below else path
 
 
 def all_commands() -> dict[str, CommandEntry]:

@@ -1,4 +1,4 @@
-"""`nsde close-loop`: log, diagnosis, experiments, before, after; each stage is kept when it is finished.
+"""`nsde close-loop`: fly, find what the physics lacks, and fly again with it: tracking before and after.
 
 The controller knows the declared physics with the values of the plant; after the diagnosis it also knows the effects
 that were found, with the values that were found, but for lags and delays, which `delay` covers. With

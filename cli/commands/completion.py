@@ -1,4 +1,4 @@
-"""`nsde completion SHELL`: print the script that teaches a shell to complete `nsde`.
+"""`nsde completion`: print the shell completion script for bash, zsh or fish.
 
 The script asks `nsde completion query WORD...` at every press of the tab key; the answer needs neither Hydra
 nor torch.

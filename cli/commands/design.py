@@ -1,4 +1,4 @@
-"""`nsde design`: plan the most informative experiment, or evaluate one that was flown."""
+"""`nsde design`: plan the most informative experiment, or report the evidence of one that was flown."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`nsde diagnose`: read runs, look for what is missing, print, write, and train with it."""
+"""`nsde diagnose`: find the effect that the declared physics lacks, add it, and report the errors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`nsde effects [system=NAME] [format=text|json]`: the catalogue of physical effects."""
+"""`nsde effects`: list the physical effects that a system or a plant can be given."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`nsde evaluate`: read runs and data, score, print, write."""
+"""`nsde evaluate`: score trained models on runs, against baselines and each other."""
 
 from __future__ import annotations
 

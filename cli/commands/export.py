@@ -1,4 +1,4 @@
-"""`nsde export`: read the model, write the file, say what is in it."""
+"""`nsde export`: write the predictive controller as a file for a flight computer."""
 
 from __future__ import annotations
 

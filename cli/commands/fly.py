@@ -1,4 +1,4 @@
-"""`nsde fly`: connect, fly, print, write."""
+"""`nsde fly`: fly a controller on a PX4 vehicle over MAVLink, with checks, limits and a log."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`nsde inspect`: what is in a log, what its columns mean to a system, whether that is so; writes the mapping."""
+"""`nsde inspect`: list what is in a log of any format, propose what its columns mean, and check it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`nsde land`: land a vehicle that is in the air, whoever flew it there."""
+"""`nsde land`: land a PX4 vehicle that is in the air, and watch until it is disarmed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`nsde policy`: make the environment and the truth, and hand them to the library."""
+"""`nsde policy`: learn a policy in a learned model or on the true machine, and judge it there."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`nsde serve`: a page on this machine that takes logs and gives their diagnosis."""
+"""`nsde serve`: open a page on this machine that takes dropped logs and gives their diagnosis."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`nsde simulate`: make the runs, write them, and the truth elsewhere."""
+"""`nsde simulate`: write runs of a simulated machine as files that do not say what is in them."""
 
 from __future__ import annotations
 

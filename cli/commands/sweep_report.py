@@ -1,4 +1,4 @@
-"""`nsde sweep-report DIR`: rank the jobs of a sweep, and name those that failed and why."""
+"""`nsde sweep-report`: rank the jobs of a sweep, and name those that failed and why."""
 
 from __future__ import annotations
 

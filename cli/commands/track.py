@@ -1,4 +1,4 @@
-"""`nsde track`: read the model, fly, print, write."""
+"""`nsde track`: follow a reference with model predictive control on a learned model."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`nsde train`: build what the configuration describes and hand it to the library."""
+"""`nsde train`: learn a neural SDE of a machine from simulated or measured runs."""
 
 from __future__ import annotations
 

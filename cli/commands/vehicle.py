@@ -1,4 +1,4 @@
-"""`nsde vehicle`: make the machine, and be it until asked to stop."""
+"""`nsde vehicle`: be a simulated PX4 vehicle, for nsde fly and its tests."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`nsde verify`: load the file and the model, compare, attack, time, print."""
+"""`nsde verify`: hold an exported controller against the one that it was made of."""
 
 from __future__ import annotations
 

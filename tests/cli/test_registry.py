@@ -14,10 +14,10 @@ def test_a_command_of_one_file_and_one_line_has_help_completion_and_checks(
     root: Path, monkeypatch: pytest.MonkeyPatch, refused: Said, shown: Said
 ) -> None:
     monkeypatch.syspath_prepend(root / "examples" / "extend")
-    monkeypatch.setitem(COMMANDS, "rows", CommandEntry("rows", "Count the rows of every run"))
-    assert "rows          Count the rows of every run" in shown("--help")
+    monkeypatch.setitem(COMMANDS, "rows", CommandEntry("rows"))
+    assert "rows          How many rows each run of a data set has" in shown("--help")
     text = shown("rows", "--help")
-    assert text.startswith("nsde rows: count the rows of every run")
+    assert text.startswith("nsde rows: how many rows each run of a data set has")
     assert all(
         part in text for part in ("least=0", "leave out runs with fewer rows (at least 0)", "data=csv")
     ), text

@@ -25,7 +25,7 @@ from nsde_torch.models import Model
 from nsde_torch.models.model import has_physics, is_equation
 from nsde_torch.models.neural_sde import NeuralSDE
 from nsde_torch.rotation import quaternion_rate, rotate, rotate_back
-from nsde_torch.sde import Calculus, Step, Time, make_step, within
+from nsde_torch.sde import Step, Time, WithoutNoise, make_step, within
 from nsde_torch.systems import Multirotor, System
 from nsde_torch.systems.parameters import frozen
 
@@ -97,10 +97,10 @@ class JointNetwork(nn.Module):
 # circle, 8 mm every 50 ms, which a plan makes up for by flying inside the circle.
 
 _PARTS = (3, 3, 4, 3)  # position, velocity, quaternion, rates
-Advance = Callable[["_Pushed", Time, Tensor, Tensor, float, None], Tensor]
+Advance = Callable[[WithoutNoise, Time, Tensor, Tensor, float, None], Tensor]
 
 
-def _turning(sde: _Pushed, t: Time, z: Tensor, u: Tensor, dt: float, dw: None) -> Tensor:
+def _turning(sde: WithoutNoise, t: Time, z: Tensor, u: Tensor, dt: float, dw: None) -> Tensor:
     gravity: Tensor = sde.system.gravity  # type: ignore[assignment]
     memory = z.shape[1] - sum(_PARTS)
     p, v, q, w, m = split_columns(z, *_PARTS, memory)
@@ -184,7 +184,8 @@ class Predictor(nn.Module):
     def forward(self, z: Tensor, u: Tensor, d: Tensor) -> Tensor:
         """States after a step (N, nz), from states (N, nz), inputs (N, nu) and pushes (N, nd)."""
         # a push that stayed here would be part of the key under which machine code is kept
-        after = self._advance(_Pushed(self, d), 0.0, z, u, self.dt, None)
+        pushed = WithoutNoise(self.system, lambda t, z, u: self.drift(z, u, d))
+        after = self._advance(pushed, 0.0, z, u, self.dt, None)
         return after if self._turns else self.system.project(after)
 
     def drift(self, z: Tensor, u: Tensor, d: Tensor) -> Tensor:
@@ -225,36 +226,11 @@ class Predictor(nn.Module):
         return self.system.augment(x, u)
 
 
-@final
-class _Pushed:
-    """The drift with a push, as a step wants it."""
-
-    calculus: Calculus = "either"
-
-    def __init__(self, predictor: Predictor, push: Tensor) -> None:
-        self._drift, self.system, self._push = predictor.drift, predictor.system, push
-
-    def drift(self, t: Time, z: Tensor, u: Tensor) -> Tensor:
-        return self._drift(z, u, self._push)
-
-    def diffusion(self, t: Time, z: Tensor, u: Tensor) -> Tensor:
-        return torch.zeros_like(z)
-
-    def project(self, z: Tensor) -> Tensor:
-        return self.system.project(z)
-
-    def set_step(self, dt: float) -> None:
-        self.system.set_step(dt)
-
-    def inner(self, z: Tensor, y: Tensor) -> Tensor:
-        return self.system.inner(z, y)
-
-
-def _euler(sde: _Pushed, t: Time, z: Tensor, u: Tensor, dt: float, dw: None) -> Tensor:
+def _euler(sde: WithoutNoise, t: Time, z: Tensor, u: Tensor, dt: float, dw: None) -> Tensor:
     return z + sde.drift(t, z, u) * dt
 
 
-def _trapezoid(sde: _Pushed, t: Time, z: Tensor, u: Tensor, dt: float, dw: None) -> Tensor:
+def _trapezoid(sde: WithoutNoise, t: Time, z: Tensor, u: Tensor, dt: float, dw: None) -> Tensor:
     f = sde.drift(t, z, u)
     return z + 0.5 * dt * (f + sde.drift(t, within(sde, z, z + f * dt), u))
 

@@ -14,7 +14,15 @@ if TYPE_CHECKING:
     )
     from nsde_torch.sde.integrate import rollout
     from nsde_torch.sde.options import IntegratorOptions, TorchDiffEqOptions
-    from nsde_torch.sde.protocol import SDE, Calculus, HasDiagonalDerivative, HoldsColumns, Time, within
+    from nsde_torch.sde.protocol import (
+        SDE,
+        Calculus,
+        HasDiagonalDerivative,
+        HoldsColumns,
+        Time,
+        WithoutNoise,
+        within,
+    )
     from nsde_torch.sde.registry import STEPS, make_step
     from nsde_torch.sde.step import Step
 
@@ -29,6 +37,7 @@ __all__ = [
     "Step",
     "Time",
     "TorchDiffEqOptions",
+    "WithoutNoise",
     "brownian",
     "coarsen",
     "compiled",

@@ -7,9 +7,13 @@ and leaves the choice open: such an equation declares `calculus = "either"`, and
 gives the product its meaning.
 """
 
-from typing import Literal, Protocol, cast, runtime_checkable
+from collections.abc import Callable
+from typing import Literal, Protocol, cast, final, runtime_checkable
 
+import torch
 from torch import Tensor
+
+from nsde_torch.systems import System
 
 Calculus = Literal["ito", "stratonovich", "either"]
 CALCULI: tuple[Calculus, ...] = ("ito", "stratonovich", "either")
@@ -65,3 +69,17 @@ class HasDiagonalDerivative(Protocol):
 
     def diffusion_diagonal_derivative(self, t: Time, z: Tensor, u: Tensor) -> Tensor:
         """The slopes d g_i / d z_i, (N, nz), in 1 per square root of a second."""
+
+
+@final
+class WithoutNoise:
+    """Rates of a system's states under whatever else acts on it, as a step wants them."""
+
+    calculus: Calculus = "either"
+
+    def __init__(self, system: System, drift: Callable[[Time, Tensor, Tensor], Tensor]) -> None:
+        self.system, self.drift = system, drift
+        self.project, self.set_step, self.inner = system.project, system.set_step, system.inner
+
+    def diffusion(self, t: Time, z: Tensor, u: Tensor) -> Tensor:
+        return torch.zeros_like(z)

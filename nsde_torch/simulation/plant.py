@@ -17,7 +17,7 @@ from torch import Tensor
 from nsde_torch.effects import Effect, Port
 from nsde_torch.errors import ConfigError, NonFiniteError, ShapeError
 from nsde_torch.rotation import turned
-from nsde_torch.sde import Calculus, Time, make_step
+from nsde_torch.sde import Time, WithoutNoise, make_step
 from nsde_torch.systems import System
 from nsde_torch.systems.machine import Gust, Limits, ends_of
 from nsde_torch.systems.parameters import frozen
@@ -147,32 +147,6 @@ class Sensor:
 
 
 @final
-class _Forced:
-    """The drift of a system with forces added on its ports, as a solver wants it."""
-
-    calculus: Calculus = "either"
-
-    def __init__(self, system: System) -> None:
-        self.system = system
-        self.forces: Mapping[Port, Tensor] = {}
-
-    def drift(self, t: Time, z: Tensor, u: Tensor) -> Tensor:
-        return self.system.drift(t, z, u, self.forces)
-
-    def diffusion(self, t: Time, z: Tensor, u: Tensor) -> Tensor:
-        return torch.zeros_like(z)
-
-    def project(self, z: Tensor) -> Tensor:
-        return self.system.project(z)
-
-    def set_step(self, dt: float) -> None:
-        self.system.set_step(dt)
-
-    def inner(self, z: Tensor, y: Tensor) -> Tensor:
-        return self.system.inner(z, y)
-
-
-@final
 class Plant:
     """A batch of simulated machines under sampled control.
 
@@ -240,7 +214,9 @@ class Plant:
         )
         std = (0.0,) * len(system.error_names) if sensor_std is None else sensor_std
         self._sensor = Sensor(system, std, scale=sensor_noise, generator=generator, dtype=dtype)
-        self._sde, self._solver = _Forced(self.system), make_step("rk4")
+        self._forces: Mapping[Port, Tensor] = {}  # held over a sample
+        self._sde = WithoutNoise(self.system, lambda t, z, u: self.system.drift(t, z, u, self._forces))
+        self._solver = make_step("rk4")
         self._z = torch.empty(0, system.nz, dtype=dtype, device=generator.device)
         self._commands: list[Tensor] = []
         self._samples = 0
@@ -326,7 +302,7 @@ class Plant:
                 f"`u` must have a row for each of the {len(self._z)} machines of the last reset; got {len(u)}."
             )
         self._commands = [*self._commands[1:], self._clipped(u)]
-        self._sde.forces = self._gusts.draw()
+        self._forces = self._gusts.draw()
         z, start = self._z, self._began + self.time
         for k in range(self._substeps):
             # the command that was given `delay` fine steps before this one

@@ -12,6 +12,7 @@ reported only if surely larger than that and than what batteries and air make (d
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.special import chdtrc, stdtr
@@ -53,7 +54,7 @@ def odd_run(regression: Regression, rough: Regression, runs: Sequence[Run]) -> O
     unit = "" if unit == "1" else f" {unit}"
     shapes = {k for name in vector.system.effect_names for k in {*vector.of(name)} - {*vector.sizes(name)}}
     times = _all_alike([one for (run, k), one in sure.items() if run == r and k not in shapes])
-    values = {"label": label, "unit": unit, "own": own, "others": others, "times": times}
+    values: dict[str, Any] = {"label": label, "unit": unit, "own": own, "others": others, "times": times}
     return objection("odd_run", name=repr(runs[r].name), **values)
 
 

@@ -167,7 +167,7 @@ def decide(search: Search, chosen: Outcome, alone: FittedPhysics | None = None) 
     abrupt = abrupt_changes(declared, base, found, search.decisions)
     for i, f in enumerate(found):
         why = _bent(base, f.name) or provisional_reason(f, left, brought, search.decisions)
-        why = why or _unshown(base, f.name) or _slow(search, base, f.name) or _of_many(f, chosen.test)
+        why = why or _unshown(base, f.name) or _slow(search, base, f.name) or _of_many(f, found, chosen.test)
         why = why or next((text for channel, text in abrupt.items() if channel in f.moves), "")
         why = why or _shared(f, found, base.vector.system)
         found[i] = replace(f, provisional=why)
@@ -254,11 +254,17 @@ def _too_much(rest: float, f: Found, brought: Mapping[str, float], decisions: De
     return rest > decisions.provisional_share * min(whole, max(f.evidence.nats, 0.0))
 
 
-def _of_many(f: Found, tested: FeedbackTest) -> str:
-    """Why a law beyond the catalogue is provisional: there are so many that they need more than an effect does."""
+def _of_many(f: Found, found: Sequence[Found], tested: FeedbackTest) -> str:
+    """Why a law beyond the catalogue is provisional: there are so many that they need more than an effect does.
+
+    Three are what a library makes of one that it lacks: of a tyre that saturates, polynomials of what the slip is of.
+    """
     if not is_law(f.name):
         return ""
-    if tested.predictive:
+    laws = sum(is_law(o.name) and not {*o.moves}.isdisjoint(f.moves) for o in found)
+    if laws > 2:
+        return f"{laws} laws act there, and together they may be one that no formula here has"
+    if tested.closed and tested.predictive:
         return "inputs know what the log does not, and a law may stand for that"
     return "other laws explain as much" if any(map(is_law, f.ties)) else ""
 

@@ -9,8 +9,6 @@ import torch
 from nsde_torch.data import Run, Windows
 from nsde_torch.evaluation.scores import rollout_squares, score, squares_of, states_by_fold
 from nsde_torch.models import IdentifiedModel, SysidSpec
-from nsde_torch.models.before import inputs_before
-from nsde_torch.systems import make_system
 from nsde_torch.systems.parameters import ParameterVector
 from tests.models.test_inputs_before import DT, VALUES, flight
 
@@ -29,15 +27,6 @@ def truth() -> IdentifiedModel:
     spec = SysidSpec("hexacopter", dt=DT, horizon=STEPS, effects=("motor_lag",))
     made = IdentifiedModel(spec, generator=torch.Generator(), values=VALUES["motor_lag"])
     return made.double().requires_grad_(False)
-
-
-@pytest.mark.slow
-def test_they_are_as_long_as_memory_lasts_and_none_where_there_is_none(windows: Windows) -> None:
-    at = torch.tensor([0, 30])
-    found = inputs_before(make_system("hexacopter", effects=["motor_lag"]), windows, at)
-    assert found is not None
-    assert found.shape == (2, 25, 6)
-    assert inputs_before(make_system("hexacopter", effects=["linear_drag"]), windows, at) is None
 
 
 def test_the_true_model_is_scored_without_error_from_anywhere_in_a_run(windows: Windows) -> None:

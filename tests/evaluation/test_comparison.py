@@ -29,6 +29,7 @@ from nsde_torch.evaluation.seen import SeenRuns, record
 from nsde_torch.models import NeuralSDE
 from nsde_torch.recording import assemble
 from nsde_torch.systems import make_system
+from tests.helpers.draws import generator
 from tests.helpers.toy_systems import DT, Decay, Gusty, decay_runs, fix_sigma, make_model
 
 NEW = SeenRuns([], {}, {})
@@ -97,39 +98,6 @@ def test_equal_models_show_no_difference_and_a_wrong_one_is_worse(three: Compari
         assert wrong["difference"] == pytest.approx(wrong["other"] - wrong["first"], abs=1e-12)
     assert against["wrong"]["errors"]["position"]["0.25"]["verdict"] == "worse"
     assert {"hold", "constant_velocity"} <= set(against)
-
-
-def test_a_run_of_training_is_marked_in_every_part(three: Comparison, tmp_path: Path) -> None:
-    content = three.content
-    true, _, wrong = content["models"]
-    assert true["held_out"]
-    assert not wrong["held_out"]
-    assert wrong["trained_on"] == {"run_0": True, "run_1": False}
-    assert content["data"]["runs"][0]["trained_on_by"] == ["wrong"]
-    assert not content["differences"]["against"]["wrong"]["held_out"]
-    assert content["differences"]["against"]["again"]["held_out"]
-    assert any(n["red"] and "wrong was trained on run_0" in n["text"] for n in content["notes"])
-    text = list(lines(content))
-    marked = [line for line, red in text if red]
-    assert any(line.startswith("run_0") for line in marked)
-    assert not any(line.startswith("run_1") for line in marked)
-    assert all(
-        ("TRAINED ON" in line) == red
-        for line, red in text
-        if "wrong" in line and "note" not in line and "run " not in line
-    )
-    files = write_figures(tmp_path, three)
-    assert [file.name for file in files] == ["errors.png", "calibration.png", "rollouts.png"]
-    assert all(file.read_bytes()[:4] == b"\x89PNG" for file in files)
-
-
-def test_the_content_is_json_with_a_figure_for_every_run(three: Comparison) -> None:
-    content = json.loads(json.dumps(three.content, allow_nan=False))
-    for model in content["models"]:
-        assert sum(r["starts"] for r in model["by_run"].values()) == content["starts"]
-        squares = [r["starts"] * r["errors"]["position"]["1"] ** 2 for r in model["by_run"].values()]
-        assert math.sqrt(sum(squares) / content["starts"]) == pytest.approx(model["errors"]["position"]["1"])
-        assert len(model["calibration"]["nominal"]) == len(model["calibration"]["share"]["position"])
 
 
 def test_models_of_different_steps_are_scored_from_the_same_starts(data: DataSet) -> None:
@@ -204,13 +172,6 @@ def test_a_deterministic_model_has_neither_intervals_nor_likelihood(data: DataSe
     assert "node is deterministic" in text
     assert "interval" not in text.split("node is")[0].replace("intervals and scores", "")
     assert [file.name for file in write_figures(tmp_path, done)] == ["errors.png", "rollouts.png"]
-
-
-def test_given_horizons_are_taken_and_blocks_grow_with_them(data: DataSet) -> None:
-    given = {"seed": 0, "particles": 9, "horizons": [3.0, 0.15, 3.0]}
-    done = compare([candidate("true", good())], data, data.runs, **given)
-    assert done.content["horizons_s"] == [0.15, 3.0]
-    assert done.content["differences"]["unit"] == "blocks of 6 s"
 
 
 def test_a_model_that_knows_no_other_step_keeps_its_own_and_that_is_red(data: DataSet) -> None:
@@ -295,10 +256,6 @@ def test_interventions_are_where_predictions_start_and_the_report_says_so(runs: 
 QUARTER = 0.25
 
 
-def generator(seed: int = 0) -> torch.Generator:
-    return torch.Generator().manual_seed(seed)
-
-
 def one_run(starts: int) -> Blocks:
     """Blocks of 4 s of a single run."""
     return make_blocks(np.zeros(starts, dtype=np.int64), QUARTER * np.arange(starts), length=4.0)
@@ -365,3 +322,45 @@ def test_intervals_of_a_mean_hold_what_they_say_on_rows_correlated_in_time() -> 
     inside = ((made.low < 0.2) & (made.high > 0.2)).double().mean()
     assert 0.85 < float(inside) < 0.95
     np.testing.assert_allclose(made.value.numpy(), values.numpy().mean(0))
+
+
+def noisy(name: str, seed: int, rows: int = 2000) -> Run:
+    rng = np.random.default_rng(seed)
+    return Run(name, 0.01 * np.arange(rows), rng.standard_normal((rows, 3)), rng.standard_normal((rows, 1)))
+
+
+TRAINED = [noisy("a", 0), noisy("b", 1, rows=50)]
+SEEN = SeenRuns.of({"train_runs": ["a", "b"], **record(TRAINED)})
+
+
+A, B = TRAINED
+OTHER = noisy("c", 2)
+
+
+def joined(first: Run, then: np.ndarray) -> Run:
+    x = np.concatenate([first.x, then])
+    return Run("long", 0.01 * np.arange(len(x)), x, np.zeros((len(x), 1)))
+
+
+@pytest.mark.parametrize(
+    ("run", "found"),
+    [
+        (A, "whole"),
+        (replace(A, name="another", t=A.t + 7), "whole"),
+        *((A.slice(*rows, name="cut"), "part") for rows in ((0, 200), (700, 1000), (1800, 2000))),
+        (Run("a", A.t[::5], A.x[::5], A.u[::5]), "part"),
+        (replace(A, u=np.column_stack([A.u, A.u])), "part"),
+        (joined(noisy("long", 5), B.x), "part"),
+        (OTHER, ""),
+        (noisy("a", 2), "same name"),
+        (replace(OTHER, x=np.concatenate([A.x[:2], OTHER.x[2:]])), ""),
+    ],
+    ids=[
+        *("itself", "another name and clock", "its beginning", "a tenth of it", "its end", "another step"),
+        *(
+            "other inputs", "a recording that holds it", "another run", "a namesake", "another from its first state",
+        ),
+    ],
+)  # fmt: skip
+def test_a_training_run_is_found_in_what_holds_some_of_it_and_in_nothing_else(run: Run, found: str) -> None:
+    assert SEEN.match(run) == found

@@ -13,24 +13,17 @@ import torch
 from nsde_torch.data import Run
 from nsde_torch.errors import DataError
 from nsde_torch.evaluation import evaluate
+from nsde_torch.evaluation.figures import Coverage, extrapolate
 from nsde_torch.evaluation.metrics import horizons_of
 from nsde_torch.evaluation.scores import (
     LEVELS,
-    baselines,
-    gaussian_nll,
-    group_squares,
     interval_quantiles,
-    rms_by_group,
 )
 from nsde_torch.models import NeuralSDE, SDESpec
 from nsde_torch.models.run_directory import save
-from nsde_torch.systems import make_system
+from tests.helpers.draws import generator
 from tests.helpers.flights import flight
 from tests.helpers.toy_systems import DT, Decay, decay_runs, fix_sigma, make_model
-
-
-def generator(seed: int = 0) -> torch.Generator:
-    return torch.Generator().manual_seed(seed)
 
 
 @pytest.fixture(scope="module")
@@ -68,28 +61,6 @@ def test_interval_of_an_exchangeable_ensemble_holds_its_level(particles: int, ex
     assert held == pytest.approx(expected, abs=0.01)
 
 
-@pytest.mark.parametrize("level", [0.1, 0.5, 0.9, 0.95])
-def test_quantiles_are_those_of_the_weibull_plotting_position(level: float) -> None:
-    e = torch.randn(32, 10, generator=generator(), dtype=torch.float64)
-    low, high = interval_quantiles(e.sort(0).values, level)
-    np.testing.assert_allclose(low, np.quantile(e, (1 - level) / 2, axis=0, method="weibull"))
-    np.testing.assert_allclose(high, np.quantile(e, (1 + level) / 2, axis=0, method="weibull"))
-
-
-def test_baselines_hold_the_state_or_its_velocity() -> None:
-    system = make_system("hexacopter")
-    x0 = torch.randn(4, 13, generator=generator())
-    made = baselines(system, x0, 0.5)
-    assert torch.equal(made["hold"], x0)
-    expected = x0.clone()
-    expected[:, :3] += 0.5 * x0[:, 3:6]
-    torch.testing.assert_close(made["constant_velocity"], expected)
-    cart = make_system("cartpole")
-    x0 = torch.tensor([[1.0, 2.0, 3.0, 4.0]])
-    moved = baselines(cart, x0, 0.1)["constant_velocity"]
-    torch.testing.assert_close(moved, torch.tensor([[1.2, 2.0, 3.4, 4.0]]))
-
-
 def test_baseline_errors_of_a_sine_are_the_closed_forms() -> None:
     t = 0.01 * np.arange(6284)
     run = Run("sine", t, np.stack((np.sin(t), np.cos(t)), 1), np.zeros((len(t), 1)))
@@ -102,17 +73,6 @@ def test_baseline_errors_of_a_sine_are_the_closed_forms() -> None:
         assert scores["hold"]["position"][f"{h:g}"] == pytest.approx(held, rel=0.01)
         assert scores["hold"]["velocity"][f"{h:g}"] == pytest.approx(held, rel=0.01)
         assert scores["constant_velocity"]["position"][f"{h:g}"] == pytest.approx(moving, rel=0.02)
-
-
-def test_group_error_is_the_rms_of_the_norm_in_the_groups_unit() -> None:
-    system = make_system("hexacopter")
-    e = torch.zeros(2, 12)
-    e[0, :3] = torch.tensor([3.0, 4.0, 0.0])
-    e[:, 6] = math.pi / 180
-    rms = rms_by_group(system, group_squares(system, e)[:, None], ["1"])
-    assert rms["position"]["1"] == pytest.approx(math.sqrt(25 / 2))
-    assert rms["attitude"]["1"] == pytest.approx(1.0)
-    assert rms["velocity"]["1"] == 0.0
 
 
 def with_gap(run: Run, at: int) -> Run:
@@ -217,7 +177,45 @@ def test_scores_agree_with_an_independent_evaluation(
             assert ours["errors"]["constant_velocity"][group][h] == pytest.approx(moving[h][key], rel=1e-4)
 
 
-def test_nll_of_the_particles_is_that_of_a_gaussian_of_their_moments() -> None:
-    e = torch.randn(64, 50, 3, generator=generator(), dtype=torch.float64) * torch.tensor([0.1, 1.0, 30.0])
-    expected = -torch.distributions.Normal(e.mean(0), e.std(0)).log_prob(torch.zeros(50, 3))
-    torch.testing.assert_close(gaussian_nll(e), expected, check_dtype=False)
+SIGMA = 0.5
+
+
+@pytest.fixture(scope="module")
+def runs() -> list[Run]:
+    """300 s of a decay with noise."""
+    return decay_runs(3, 100.0, sigma=SIGMA)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "factor", "within"),
+    [
+        *((wrong, 1.0 / wrong, 0.2) for wrong in (0.5, 1.0, 2.0)),
+        (2e-3, 6.0, 0.02),  # as far as the bracket goes
+        (2e3, 1.0, 1e-12),  # intervals that hold too much by every factor are not narrowed
+    ],
+)
+@pytest.mark.slow
+def test_the_factor_undoes_a_sigma_that_is_deliberately_wrong(
+    runs: list[Run], wrong: float, factor: float, within: float
+) -> None:
+    model = fix_sigma(make_model(Decay), wrong * SIGMA)
+    found = Coverage(model, runs, seed=0, compile=False).log_factor()
+    assert found == pytest.approx(math.log(factor), abs=within)
+
+
+def test_coverage_rises_with_the_factor_is_nine_tenths_at_the_truth_and_one_where_paths_diverge(
+    runs: list[Run],
+) -> None:
+    coverage = Coverage(fix_sigma(make_model(Decay), SIGMA), runs, seed=0, compile=False)
+    values = [coverage(f) for f in (-1.0, -0.3, 0.0, 0.3, 1.0)]
+    assert values == sorted(values)
+    assert values[2] == pytest.approx(0.9, abs=0.04)
+    assert coverage(300.0) == 1.0
+
+
+def test_extrapolation_takes_the_share_of_the_excess_that_a_new_run_still_sees() -> None:
+    assert extrapolate(0.2, [], 1) == 0.2
+    for n in (2, 3, 10):
+        assert extrapolate(0.1, [0.4, 0.6, 0.5], n) == pytest.approx(0.1 + 0.4 * (n - 1) / n)
+
+    assert extrapolate(0.3, [0.0, 0.1], 2) == 0.3  # a run left out never narrows

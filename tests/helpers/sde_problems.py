@@ -79,42 +79,6 @@ class SquareRoot(Problem):
 
 
 @final
-class Tangent(Problem):
-    """dz = b cos(z)^2 o dW, or the same in Ito's form with the drift -b^2 sin(z) cos(z)^3: z = atan(b W)."""
-
-    def __init__(self, calculus: Literal["ito", "stratonovich"], b: float = 1.0) -> None:
-        self.b, self.calculus, self.z0 = b, calculus, 0.0
-
-    def drift(self, t: Time, z: Tensor, u: Tensor) -> Tensor:
-        return -(self.b**2) * torch.sin(z) * torch.cos(z) ** 3 * (1.0 if self.calculus == "ito" else 0.0)
-
-    def diffusion(self, t: Time, z: Tensor, u: Tensor) -> Tensor:
-        return self.b * torch.cos(z) ** 2
-
-    def solution(self, t: float, w: Tensor, calculus: str) -> Tensor:
-        return torch.atan(self.b * w)
-
-
-@final
-class OrnsteinUhlenbeck:
-    """dz = -r z dt + s dW: normal, mean z0 exp(-r t), variance s^2 (1 - exp(-2 r t)) / (2 r)."""
-
-    calculus: Calculus = "either"
-
-    def __init__(self, rate: float = 1.5, sigma: float = 0.7) -> None:
-        self.rate, self.sigma = rate, sigma
-
-    def drift(self, t: Time, z: Tensor, u: Tensor) -> Tensor:
-        return -self.rate * z
-
-    def diffusion(self, t: Time, z: Tensor, u: Tensor) -> Tensor:
-        return torch.full_like(z, self.sigma)
-
-    def project(self, z: Tensor) -> Tensor:
-        return z
-
-
-@final
 class DistanceAware:
     """Coupled diagonal noise, g_i = s sqrt(1 + |z|^2): every channel's sigma depends on all of z."""
 

@@ -2,14 +2,11 @@
 
 import pytest
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
-from nsde_torch.models.networks import FAR_SHARE, START_SHARE, Diffusion, Distance, Standardise
+from nsde_torch.models.networks import Diffusion, Distance
 from nsde_torch.training.losses import distance_losses, draw_ball
-
-
-def generator(seed: int = 0) -> torch.Generator:
-    return torch.Generator().manual_seed(seed)
+from tests.helpers.draws import generator
 
 
 def make_distance(n: int = 3, seed: int = 0, dtype: torch.dtype = torch.float64) -> Distance:
@@ -53,33 +50,6 @@ def test_distance_losses_equal_those_written_with_autograd(kind: str) -> None:
     assert reward == pytest.approx(total / 10, rel=1e-9)
 
 
-class Quadratic(nn.Module):
-    """E = |y|^2, so mu = 2 is exactly its convexity; the interface of `Distance` that the losses use."""
-
-    def __init__(self, mu: float) -> None:
-        super().__init__()
-        self.standardise, self.value = Standardise(3), mu
-
-    def energy(self, y: Tensor) -> Tensor:
-        return y.square().sum(1)
-
-    def energy_and_gradient(self, y: Tensor) -> tuple[Tensor, Tensor]:
-        return self.energy(y), 2 * y
-
-    def mu(self, y: Tensor) -> Tensor:
-        return torch.full_like(y[:, 0], self.value)
-
-
-@pytest.mark.parametrize(("mu", "zero"), [(1.0, True), (1.999, True), (2.2, False), (5.0, False)])
-def test_convexity_loss_is_zero_exactly_up_to_the_convexity_of_the_energy(mu: float, zero: bool) -> None:
-    y = torch.randn(30, 3, generator=generator())
-    directions, share = draw_ball(30, 6, 3, generator(1), y)
-    given = {"kind": "replay", "near": 0.1, "far": 4.0}
-    _, convexity, reward = distance_losses(Quadratic(mu), y, directions, share, **given)
-    assert (float(convexity) < 1e-9) is zero
-    assert float(reward) == pytest.approx(1 / mu)
-
-
 @pytest.mark.parametrize("seed", range(5))
 def test_eta_lies_between_zero_and_one_for_any_weights(seed: int) -> None:
     eta = make_distance(seed=seed, dtype=torch.float32)
@@ -111,11 +81,3 @@ def test_h_rises_with_eta_on_every_channel_for_any_weights(seed: int) -> None:
     assert bool((share.diff(dim=0) > 0).all())
     assert float(share.min()) >= 0
     assert float(share.max()) <= 1
-
-
-def test_first_h_is_a_quarter_on_the_data_and_nearly_all_far_away() -> None:
-    h = Diffusion(torch.tensor([0.1, 2.0]), learned=False)
-    share = h.share(torch.tensor([0.0, 1.0]))
-    torch.testing.assert_close(share, torch.tensor([[START_SHARE] * 2, [FAR_SHARE] * 2]))
-    torch.testing.assert_close(h(torch.tensor([1.0])), FAR_SHARE * torch.tensor([[0.1, 2.0]]))
-    assert not h.log_sigma_max.requires_grad

@@ -30,17 +30,6 @@ def test_a_path_is_the_solution_of_the_declared_physics() -> None:
     assert float(path[0, 0, -1, 0]) == pytest.approx(expected, abs=1e-9)
 
 
-def test_all_particles_are_one_path_and_measurements_are_the_state() -> None:
-    model = made()
-    x0 = torch.tensor([[0.1, 0.2], [0.0, 0.3]], dtype=torch.float64)
-    u = torch.zeros(2, 5, 1, dtype=torch.float64)
-    paths = sample(model, x0, u, particles=3)
-    assert paths.shape == (3, 2, 6, 2)
-    assert torch.equal(paths[0], paths[2])
-    assert torch.equal(paths, sample(model, x0, u, particles=3, measurement=False))
-    assert torch.equal(paths[0, :, 0], x0)
-
-
 def test_the_clock_of_the_log_scales_the_rate() -> None:
     model = made()
     z = torch.tensor([[0.1, 0.2]], dtype=torch.float64)

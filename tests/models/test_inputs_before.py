@@ -1,7 +1,5 @@
 """`u_before`: lags and delays begin where the log had them, for every kind of model."""
 
-from typing import Any
-
 import pytest
 import torch
 from torch import Tensor
@@ -14,6 +12,7 @@ from nsde_torch.models import (
     SDESpec,
     SysidSpec,
 )
+from nsde_torch.models.networks import InputFilter
 from nsde_torch.simulation.plant import Plant
 from nsde_torch.systems import make_system
 
@@ -76,20 +75,6 @@ def test_a_prediction_from_the_middle_of_a_flight_is_the_flight(make: object, ef
     assert error() > 0.1
 
 
-def test_every_particle_begins_with_the_same_memory() -> None:
-    x, u = flight("motor_lag")
-    learned: dict[str, Any] = {"effects": ("motor_lag",), "measurement": True, "disturbance": True}
-    spec = SDESpec("hexacopter", dt=DT, horizon=5, step="milstein", **learned)
-    model = NeuralSDE(spec, generator=torch.Generator().manual_seed(0)).double().requires_grad_(False)
-    u_before = u[None, :BEFORE].repeat(2, 1, 1)
-    given = {"dt": DT, "noise": None, "std": torch.zeros(13, dtype=torch.float64)}
-    start = torch.zeros(3, 2, model.n_start, dtype=torch.float64)
-    x0, ahead = x[BEFORE].repeat(2, 1), u[None, BEFORE : BEFORE + 5].repeat(2, 1, 1)
-    paths = model.paths(x0, ahead, start=start, u_before=u_before, **given)  # type: ignore[arg-type]
-    plain = model.paths(x0, ahead, u_before=u_before, **given)  # type: ignore[arg-type]
-    torch.testing.assert_close(paths, plain.expand_as(paths))
-
-
 def test_inputs_before_are_restored_with_those_that_follow() -> None:
     spec = SDESpec("hexacopter", dt=DT, horizon=10, step="milstein", filter_reach=2, effects=("motor_lag",))
     model = NeuralSDE(spec, generator=torch.Generator().manual_seed(0)).double().requires_grad_(False)
@@ -123,3 +108,44 @@ def test_inputs_before_that_do_not_fit_are_refused(
     x0[:, 6] = 1.0
     with pytest.raises(error, match=words):
         sample(model, x0, torch.full((1, 3, 6), 0.3), u_before=u_before)
+
+
+def inputs(batch: int, horizon: int, seed: int = 0, n: int = 2) -> Tensor:
+    return torch.randn(batch, horizon, n, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+
+
+def make_filter(reach: int, dt: float = 0.05, seed: int | None = 0) -> InputFilter:
+    made = InputFilter(reach, dt).double().requires_grad_(False)
+    if seed is not None:
+        made.weights.normal_(generator=torch.Generator().manual_seed(seed))
+    return made
+
+
+@pytest.mark.parametrize("dt", [0.05, 0.02, 0.1])
+def test_constants_pass_unchanged_whatever_the_weights(dt: float) -> None:
+    u = torch.tensor([0.3, -2.0], dtype=torch.float64).expand(2, 15, 2)
+    torch.testing.assert_close(make_filter(4)(u, dt), u)
+
+
+def test_inside_a_window_it_is_the_stated_sum() -> None:
+    made, u = make_filter(2), inputs(1, 12)
+    w = made.weights - made.weights.mean()
+    for k in range(2, 10):
+        expected = u[0, k] + sum(w[j + 2] * u[0, k + j] for j in range(-2, 3))
+        torch.testing.assert_close(made(u, 0.05)[0, k], expected)
+
+
+def test_sampling_restores_logged_inputs_and_leaves_applied_ones() -> None:
+    spec = SDESpec("hexacopter", dt=0.05, horizon=10, step="euler_maruyama", filter_reach=2)
+    model = NeuralSDE(spec, generator=torch.Generator().manual_seed(0)).requires_grad_(False)
+    model.filter.weights.normal_(generator=torch.Generator().manual_seed(1))
+    x0 = torch.zeros(1, 13)
+    x0[:, 6] = 1.0
+    u = 0.4 + 0.05 * inputs(1, 10, n=6).float()
+
+    def sample(u: Tensor, applied: bool) -> Tensor:
+        g = torch.Generator().manual_seed(0)
+        return model.sample(x0, u, dt=0.05, particles=2, generator=g, applied=applied)
+
+    torch.testing.assert_close(sample(u, False), sample(model.applied_inputs(u, 0.05), True))
+    assert not torch.allclose(sample(u, False), sample(u, True))

@@ -14,6 +14,7 @@ from nsde_torch.policy.learned import PUBLISHED_VARIANCES, PlantDynamics
 from nsde_torch.recording import read
 from nsde_torch.simulation import make_plant
 from nsde_torch.systems import make_system
+from tests.helpers.draws import generator
 
 TASK = make_task("cartpole")
 
@@ -34,10 +35,6 @@ def test_policy_sees_direction_and_not_turns() -> None:
 def test_system_without_a_task_is_refused_with_those_that_have_one() -> None:
     with pytest.raises(ConfigError, match="cartpole"):
         make_task("hexacopter")
-
-
-def generator(seed: int = 0) -> torch.Generator:
-    return torch.Generator().manual_seed(seed)
 
 
 def quiet(name: str = "plant") -> Dynamics:

@@ -25,22 +25,6 @@ def many(n: int, *, reward_scale: float = 1.0) -> PolicyVecEnv:
     return PolicyVecEnv(machines, reward_scale=reward_scale)
 
 
-def test_vectorised_environment_has_the_shapes_and_types_of_a_vecenv() -> None:
-    env = many(3)
-    seen = env.reset()
-    assert env.num_envs == 3
-    assert seen.shape == (3, 5)
-    assert seen.dtype == np.float32
-    seen, rewards, dones, infos = env.step(np.zeros((3, 1), dtype=np.float32))
-    assert seen.shape == (3, 5)
-    assert rewards.shape == dones.shape == (3,)
-    assert (rewards.dtype, dones.dtype) == (np.float32, np.bool_)
-    assert infos == [{}, {}, {}]
-    assert env.get_attr("reward_scale", [0, 2]) == [1.0, 1.0]
-    assert env.env_is_wrapped(object) == [False] * 3  # type: ignore[arg-type]
-    assert env.render_mode is None
-
-
 def test_vectorised_environment_tells_of_the_end_of_an_episode() -> None:
     env = many(2, reward_scale=0.1)
     env.reset()

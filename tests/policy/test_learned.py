@@ -9,13 +9,10 @@ from nsde_torch.errors import ConfigError
 from nsde_torch.models import EnsembleSpec, GaussianEnsemble, Model, NeuralSDE, SDESpec
 from nsde_torch.policy import BatchEnvironment, make_learned, make_task
 from nsde_torch.policy.learned import _SampledDynamics
+from tests.helpers.draws import generator
 from tests.helpers.toy_systems import fix_sigma
 
 TASK = make_task("cartpole")
-
-
-def generator(seed: int = 0) -> torch.Generator:
-    return torch.Generator().manual_seed(seed)
 
 
 def model(system: str = "cartpole", **spec: Any) -> NeuralSDE:

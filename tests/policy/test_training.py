@@ -2,7 +2,6 @@
 
 import json
 import tempfile
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -110,24 +109,6 @@ def test_interrupted_training_goes_on_where_it_was(tmp_path: Path) -> None:
     assert said[0] == "going on after 128 interactions"
     assert [row["interactions"] for row in result["curve"]] == [0, 128, 256, 384, 512]
     assert result["interactions"] == 512
-
-
-def test_checkpoint_brings_back_networks_and_moments(tmp_path: Path) -> None:
-    learner = Learner(machines(4), options=TINY, seed=0)
-    learner.learn(lambda: None, at_every_step=lambda done: None)
-    learner.save(tmp_path / "learner.safetensors", {"rows": [1]})
-    other = Learner(machines(4), options=TINY, seed=1)
-    assert other.restore(tmp_path / "learner.safetensors") == {"rows": [1]}
-    assert other.interactions == 512
-    one, two = (x._ppo.policy.optimizer.state_dict()["state"] for x in (learner, other))
-    assert one.keys() == two.keys()
-    for index in one:
-        assert all(torch.equal(torch.as_tensor(one[index][k]), two[index][k]) for k in one[index])
-    seen = torch.randn(5, 5)
-    assert torch.equal(learner.actor()(seen), other.actor()(seen))
-    wider = Learner(machines(4), options=replace(TINY, hidden=(9,)), seed=0)
-    with pytest.raises(CheckpointError, match="another configuration"):
-        wider.restore(tmp_path / "learner.safetensors")
 
 
 def test_score_is_relative_to_policies_of_the_same_truth(tmp_path: Path) -> None:

@@ -10,7 +10,6 @@ import pytest
 from nsde_torch.effects import effects_of
 from nsde_torch.errors import ConfigError
 from nsde_torch.recording import read
-from nsde_torch.recording.chain import Recording
 from nsde_torch.simulation.battery import FULL, LOAD
 from nsde_torch.simulation.generate import Simulation, simulate, write
 from nsde_torch.systems import MACHINES, make_plant_system, make_system, system_class
@@ -99,14 +98,6 @@ def test_an_input_delay_is_a_pure_one() -> None:
     change = first(late)[1:40, 1] - first(plain)[1:40, 1]
     assert abs(change[3]) < abs(plain.runs[0].u[0, 0]) * 0.05
     assert "input_delay" not in make_plant_system("mass_spring_damper").effect_names
-
-
-def test_a_wrong_clock_is_found_by_the_checks_of_measured_data(tmp_path: Path) -> None:
-    made = simulate("cartpole", recording=Recording(clock_scale=1.06), seed=4, sensor_noise=0.1)
-    write(made, tmp_path / "data")
-    data = read("csv", make_system("cartpole"), path=tmp_path / "data")
-    assert data.clock_scale == pytest.approx(1.06, abs=0.01)
-    assert data.dt == pytest.approx(0.02)
 
 
 @pytest.mark.slow

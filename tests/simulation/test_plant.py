@@ -14,10 +14,7 @@ from nsde_torch.simulation import Plant, make_plant
 from nsde_torch.simulation.plant import Gusts
 from nsde_torch.systems import make_system
 from nsde_torch.systems.machine import Gust
-
-
-def generator(seed: int = 0) -> torch.Generator:
-    return torch.Generator().manual_seed(seed)
+from tests.helpers.draws import generator
 
 
 def quiet(name: str = "hexacopter", **options: object) -> Plant:

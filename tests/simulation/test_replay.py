@@ -1,21 +1,16 @@
 """Interventions on a plant: states of flights, commands of other times, nothing else."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
-from nsde_torch.data import Windows
 from nsde_torch.errors import ConfigError, ShapeError
-from nsde_torch.recording import read
 from nsde_torch.recording.chain import Recording
-from nsde_torch.simulation import Making, Replay, make_plant, replay, simulate, write
+from nsde_torch.simulation import Making, Replay, make_plant, replay, simulate
 from nsde_torch.simulation.flights import chosen_flights
-from nsde_torch.systems import make_system
 
-SHORT = {"durations": [6.0, 5.0], "options": {"variants": 12, "rounds": 1}}
 BRIEF = {"durations": [3.0, 2.5], "options": {"variants": 2, "rounds": 1}}
 QUIET = {"process_noise": 0.0, "sensor_noise": 0.0}
 
@@ -54,32 +49,6 @@ def test_commands_of_the_same_time_fly_the_same_flight(monkeypatch: pytest.Monke
         np.testing.assert_array_equal(run.u, flights[i].u[k - 50 : k + 101])
         np.testing.assert_allclose(run.t[[0, -1]], [0.01 * (k - 50), 0.01 * (k + 100)])
         assert run.extra["intervention"].tolist() == [0.0] * 50 + [1.0] * 101
-
-
-@pytest.mark.slow
-def test_a_file_reads_back_as_interventions_with_commands_of_another_time(tmp_path: Path) -> None:
-    asked = Replay(starts=40, duration=0.5, before=0.2)
-    made = simulate("hexacopter", seed=1, replay=asked, **SHORT)
-    write(made, tmp_path / "data")
-    data = read("csv", make_system("hexacopter"), path=str(tmp_path / "data"))
-    windows = Windows(data.runs, 0.05, 10)
-    starts = windows.starts(0.25)
-    assert len(starts) == 40
-    assert made.truth["replay"] == {"starts": 40, "duration_s": 0.5, "before_s": 0.2}
-    flights = chosen_flights("hexacopter", seed=1, durations=[6.0, 5.0], variants=12, rounds=1)
-    logged = np.concatenate([f.u for f in flights])
-    for run in data.runs:
-        for a, b in run.segments:
-            assert b - a == 71
-            began, other = (place(logged, run.u[rows]) for rows in (slice(a, a + 20), slice(a + 20, b)))
-            assert other != began + 20
-
-
-def place(logged: np.ndarray, part: np.ndarray) -> int:
-    """Where these commands are, one after another, in those of the flights."""
-    first = np.flatnonzero((logged[: len(logged) - len(part) + 1] == part[0]).all(1))
-    (found,) = [k for k in first if np.array_equal(logged[k : k + len(part)], part)]
-    return int(found)
 
 
 @pytest.mark.parametrize(

@@ -55,14 +55,6 @@ def test_the_default_flights_have_the_envelope_of_figure_15(flights: DataSet) ->
     assert 0.35 < hover < 0.45
 
 
-@pytest.mark.slow
-def test_flights_of_another_seed_have_the_same_envelope_and_are_other_flights(flights: DataSet) -> None:
-    other = simulated("hexacopter", seed=7, use_cache=False)
-    _is_a_manual_flight(other)
-    assert off(other.summary.envelope) == pytest.approx(dict.fromkeys(FIGURES, 1.0), abs=0.12)
-    assert np.abs(other[0].x - flights[0].x).max() > 0.5
-
-
 def test_a_short_flight_of_a_quadrotor_with_an_effect_stays_in_the_room_and_is_repeatable() -> None:
     settings = {"durations": [3.0, 2.5], "seed": 3, "effects": ["quadratic_drag"], "use_cache": False}
     settings |= {"variants": 4, "rounds": 1}
@@ -118,14 +110,6 @@ def test_springs_start_in_the_region_and_carry_the_noise_of_the_supplement() -> 
     assert all(not run.u.any() for run in clean.runs)
     difference = np.concatenate([a.x - b.x for a, b in zip(clean.runs, noisy.runs, strict=True)])
     assert difference.std(0).tolist() == pytest.approx([0.005, 0.01], rel=0.05)
-
-
-@pytest.mark.slow
-def test_a_multisine_force_moves_the_spring() -> None:
-    data = simulated("mass_spring_damper", use_cache=False, force="multisine", durations=[20.0] * 3)
-    u = np.concatenate([run.u for run in data.runs])
-    assert u.std() == pytest.approx(0.05, rel=0.15)
-    assert data.summary.input_rank.rank == 1
 
 
 def test_every_plant_has_a_recording_and_columns_of_its_system() -> None:

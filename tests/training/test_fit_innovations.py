@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from nsde_torch.data import Run
 from nsde_torch.data.raw import RawRun
 from nsde_torch.effects import Port
-from nsde_torch.errors import CheckpointError
 from nsde_torch.models.neural_sde import NeuralSDE, SDESpec
 from nsde_torch.recording import assemble
 from nsde_torch.systems import make_system
@@ -85,27 +84,6 @@ def test_a_controller_in_the_loop_bends_neither_gains_nor_the_lag(tmp_path: Path
 
 
 @pytest.mark.slow
-def test_a_fit_to_some_of_the_runs_begins_where_that_of_all_ended_and_has_values_of_its_own(
-    tmp_path: Path,
-) -> None:
-    def runs() -> list[RawRun]:
-        return closed_loop(6, lag=0.08, drag=0.5)
-
-    whole = fitted(runs(), tmp_path / "whole")
-    assert whole.facts["innovations"]["networks"]["force"]["variables"] == ["q_dot"]
-    # as it was, and from its checkpoint
-    for k, near in enumerate((whole, fitted(runs(), tmp_path / "whole"))):
-        part = fitted(runs()[:1], tmp_path / f"part_{k}", near=near)
-        assert part.model.spec.effects == whole.model.spec.effects == ("actuator_lag",)
-        assert part.facts["innovations"]["networks"]["force"]["variables"] in (["q_dot"], [])
-        of_all, own = whole.parameters(), part.parameters()
-        for name, p in own.items():
-            (value,), (half,) = p["value"], p["half_width_90"]  # type: ignore[misc]
-            (other,) = of_all[name]["value"]  # type: ignore[misc]
-            assert 0.0 < abs(value - other) < 3.0 * half, name
-
-
-@pytest.mark.slow
 def test_a_lag_is_learned_only_where_there_is_one_and_it_may_be(tmp_path: Path) -> None:
     prompt = fitted(closed_loop(1, lag=0.0), tmp_path / "a")
     assert prompt.facts["innovations"]["learned_lag"] is None
@@ -120,16 +98,6 @@ def test_noise_of_sensors_and_gusts_is_that_of_the_machine(tmp_path: Path) -> No
     assert noise["q"]["sensor_std"] == pytest.approx(0.002, rel=0.15)
     assert noise["q_dot"]["sensor_std"] == pytest.approx(0.01, rel=0.15)
     assert 0.05 < noise["q_dot"]["diffusion"] < 0.5  # the gust, which this system has no state for
-
-
-@pytest.mark.slow
-def test_a_second_call_finds_the_first_one_finished_and_another_task_is_refused(tmp_path: Path) -> None:
-    first, again = (fitted(closed_loop(3, lag=0.0), tmp_path, steps=20) for _ in range(2))
-    for name, value in first.model.state_dict().items():
-        assert torch.equal(value, again.model.state_dict()[name]), name
-    assert again.parameters() == first.parameters()
-    with pytest.raises(CheckpointError, match="another training"):
-        fitted(closed_loop(3, lag=0.0), tmp_path, steps=20, seed=1)
 
 
 @pytest.mark.slow

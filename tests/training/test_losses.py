@@ -11,13 +11,9 @@ from nsde_torch.errors import ConfigError
 from nsde_torch.evaluation.scores import crps
 from nsde_torch.sde import brownian
 from nsde_torch.training import LossOptions
-from nsde_torch.training.losses import data_loss, mu_weight, paired_score
+from nsde_torch.training.losses import data_loss, paired_score
+from tests.helpers.draws import generator
 from tests.helpers.toy_systems import DT, Decay, decay_runs, fix_sigma, make_model
-
-
-def generator(seed: int = 0) -> torch.Generator:
-    return torch.Generator().manual_seed(seed)
-
 
 SCORES = [(crps, 2), (crps, 5), (paired_score, 2), (paired_score, 4), (paired_score, 6)]
 Score = Callable[[Tensor], Tensor]
@@ -29,12 +25,6 @@ def test_crps_equals_the_double_loop_over_particles(particles: int) -> None:
     spread = (e[:, None] - e).abs().sum((0, 1))
     expected = e.abs().mean(0) - spread / (2 * particles * (particles - 1))
     torch.testing.assert_close(crps(e), expected, rtol=1e-12, atol=1e-12)
-
-
-@pytest.mark.parametrize("score", [crps, paired_score])
-def test_the_score_of_a_point_forecast_is_its_absolute_error(score: Score) -> None:
-    e = torch.randn(1, 7, generator=generator())
-    torch.testing.assert_close(score(e), e[0].abs())
 
 
 @pytest.mark.parametrize(("score", "particles"), SCORES)
@@ -51,12 +41,6 @@ def test_the_expected_score_is_the_crps_of_the_gaussian_and_if_paired_the_error_
     share = 0.5 * (1 + math.erf(z / math.sqrt(2)))
     expected = sigma * (z * (2 * share - 1) + 2 * density - 1 / math.sqrt(math.pi)) + paired * abs(mean)
     assert float(found.mean()) == pytest.approx(expected, abs=4 * float(found.std()) / math.sqrt(n))
-
-
-@pytest.mark.parametrize(("score", "particles"), [(crps, 4), (paired_score, 2), (paired_score, 4)])
-def test_the_gradient_of_a_score_equals_finite_differences(score: Score, particles: int) -> None:
-    e = torch.randn(particles, 3, generator=generator(), dtype=torch.float64, requires_grad=True)
-    assert torch.autograd.gradcheck(score, (e,))
 
 
 def losses_over_sigma(kind: str, factors: list[float], particles: int) -> list[float]:
@@ -91,27 +75,6 @@ def test_paper_loss_is_smallest_without_any_spread() -> None:
     scores = losses_over_sigma("paper", [0.0, 0.3, 0.6, 1.0, 1.5], particles=1)
     assert scores == sorted(scores)
     assert scores[3] > 1.5 * scores[0]
-
-
-@pytest.mark.parametrize("early", [0.0, 0.5, 2.0])
-def test_weights_of_the_steps_fall_as_a_power_and_average_one(early: float) -> None:
-    horizon = 6
-    alone = []
-    for k in range(horizon):
-        e = torch.zeros(2, 4, horizon, 1)
-        e[:, :, k] = 3.0  # both particles: the spread is zero, the score is the error
-        alone.append(float(data_loss(e, torch.ones(1), kind="replay", early=early, paired=False)))
-    assert sum(alone) == pytest.approx(3.0, rel=1e-5)
-    for k, value in enumerate(alone):
-        assert value / alone[0] == pytest.approx((k + 1) ** -early, rel=1e-5)
-
-
-def test_weight_of_mu_is_the_users_then_the_systems_then_that_of_the_default() -> None:
-    model = make_model(Decay)
-    assert mu_weight(LossOptions(mu=0.3), model) == 0.3
-    assert mu_weight(LossOptions(kind="paper", particles=1), model) == Decay.defaults.lambda_mu
-    assert mu_weight(LossOptions(), model) == 0.01
-    assert mu_weight(LossOptions(mu=0.0), model) == 0.0
 
 
 def test_default_loss_refuses_one_particle_and_an_unknown_kind() -> None:

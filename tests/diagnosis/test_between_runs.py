@@ -13,13 +13,9 @@ from scipy.signal import lfilter
 import nsde_torch
 from nsde_torch.data import DataSet, Run
 from nsde_torch.data.raw import RawRun
-from nsde_torch.diagnosis.reading import cut_at
 from nsde_torch.diagnosis.stages import MOVING_ROWS
-from nsde_torch.diagnosis.text import lines, short_lines
+from nsde_torch.diagnosis.text import lines
 from nsde_torch.errors import ConfigError
-from nsde_torch.recording import assemble
-from nsde_torch.simulation.generate import simulate
-from nsde_torch.systems import make_system
 
 HOME = "double_pendulum:DoublePendulum"
 
@@ -50,20 +46,6 @@ def off(data: DataSet, column: int, by: Mapping[str, float]) -> DataSet:
     return replace(data, runs=tuple(out))
 
 
-def springs(seed: int, *each: dict[str, float], effects: Sequence[Any] = ()) -> DataSet:
-    """Runs of one spring with other values in each."""
-    runs: list[Run] = []
-    for r, values in enumerate(each):
-        how = {
-            "durations": [12.0] * len(each),
-            "parameters": values,
-            "effects": effects[r] if effects else [],
-        }
-        made = simulate("mass_spring_damper", seed=seed, **how)
-        runs.append(made.runs[r])
-    return assemble(runs, make_system("mass_spring_damper"), kind="simulated")
-
-
 def diagnosed(
     data: DataSet, effects: Sequence[str] = (), system: str = "mass_spring_damper"
 ) -> dict[str, Any]:
@@ -75,49 +57,6 @@ def sizes(content: dict[str, Any], effect: str) -> dict[str, tuple[float, float,
     """Value and interval of an effect in each run."""
     own = [p for name, p in content["parameters"].items() if name.startswith(f"{effect}.")]
     return {p["run"]: (p["value"], *p["interval_90"]) for p in own}
-
-
-@pytest.mark.slow
-def test_another_load_in_one_run_is_a_mass_that_differs_in_that_run() -> None:
-    value = {"force_gain": 1.0, "linear_spring.stiffness": 4.0, "viscous_friction.damping": 0.5}
-    loaded = {name: v / 1.3 for name, v in value.items()}
-    content = diagnosed(springs(3, value, value, loaded, value))
-    assert (content["verdict"], content["added"]) == ("effect_found", ["run_difference[mass]"])
-    found = sizes(content, "run_difference[mass]")
-    against = {p["against"] for p in content["parameters"].values()}
-    assert len(against) == 1
-    assert against < {"run_0", "run_1", "run_3"}
-    assert found["run_2"][0] == pytest.approx(0.3, abs=0.02)
-    assert found["run_2"][1] < 0.3 < found["run_2"][2]
-    assert all(abs(v) < 0.02 for run, (v, _, _) in found.items() if run != "run_2")
-    said = "\n".join(short_lines(content))  # type: ignore[arg-type]
-    assert f"change against {against.pop()}: run_" in said
-    assert not content["warnings"]
-
-
-@pytest.mark.slow
-def test_a_spring_that_differs_beside_a_friction_of_all_runs() -> None:
-    each = [{"linear_spring.stiffness": k} for k in (4.0, 4.6, 3.5, 4.2)]
-    dry = [{"coulomb_friction": {"size": 0.15, "width": 0.01}}]
-    content = diagnosed(springs(5, *each, effects=[dry] * 4))
-    assert set(content["added"]) == {"coulomb_friction", "run_difference[linear_spring/stiffness]"}
-    found = sizes(content, "run_difference[linear_spring/stiffness]")
-    reference = next(p["against"] for p in content["parameters"].values() if p.get("against"))
-    zero = each[int(reference[-1])]["linear_spring.stiffness"]
-    for run, (value, _, _) in found.items():
-        assert value == pytest.approx(each[int(run[-1])]["linear_spring.stiffness"] - zero, abs=0.06)
-    assert content["parameters"]["coulomb_friction.size"]["value"] == pytest.approx(0.15, abs=0.02)
-
-
-@pytest.mark.slow
-def test_on_a_linear_spring_a_zero_is_a_force_of_each_run() -> None:
-    data = off(springs(4, *[{}] * 4), 0, {"run_2": 0.1})
-    content = diagnosed(data)
-    assert content["added"] == ["run_force"]
-    values = {run: value for run, (value, _, _) in sizes(content, "run_force").items()}
-    others = float(np.median(list(values.values())))
-    stiffness = content["declared_parameters"]["linear_spring.stiffness"]["value"]
-    assert values["run_2"] - others == pytest.approx(0.1 * stiffness, rel=0.15)
 
 
 @pytest.mark.slow
@@ -135,42 +74,6 @@ def test_a_zero_of_a_joint_that_differs_has_its_runs_and_the_option_that_takes_i
     (finding,) = content["findings"]
     assert finding["take_out"].startswith("data.sensor_bias={run_")
     assert any("to take it out: data.sensor_bias" in line for line in lines(content))  # type: ignore[arg-type]
-
-
-@pytest.mark.slow
-def test_a_load_at_the_tip_of_an_arm_differs_in_all_parameters_that_it_changes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    maker = importlib.import_module("make_data")
-    mass, centre, inertia, tip, still = 0.6, 0.14, 0.006, 0.28, maker.friction(np.zeros(2), np.zeros(2))
-    true: dict[str, dict[str, float]] = {name: {} for name in ("a", "b", "d", "g1", "g2")}
-    for r, load in enumerate((0.0, 0.1, 0.2)):
-        both, at = mass + load, (mass * centre + load * tip) / (mass + load)
-        own = inertia + mass * centre**2 + load * tip**2
-        for name, value in (("MASS_2", both), ("CENTRE_2", at), ("INERTIA_2", own - both * at**2)):
-            monkeypatch.setattr(maker, name, value)
-        maker.write(tmp_path / str(r), still, seed=31 + r, runs=1, seconds=10.0)
-        (tmp_path / str(r) / "run_0.csv").rename(tmp_path / f"run_{r}.csv")
-        far, low = both * 0.25 * at, own
-        values = (
-            0.012 + 0.12**2 + both * 0.25**2 + low,
-            far,
-            low,
-            (0.12 + both * 0.25) * 9.81,
-            both * at * 9.81,
-        )
-        for name, value in zip(true, values, strict=True):
-            true[name][f"run_{r}"] = value
-    data = nsde_torch.read(tmp_path, system=HOME)
-    found = nsde_torch.diagnose(data, system=HOME, candidates=["viscous_friction"], say=False).content()
-    assert found["verdict"] == "effect_found"
-    assert set(found["added"]) == {f"run_difference[{name}]" for name in true}
-    for name, values in true.items():
-        each = sizes(found, f"run_difference[{name}]")
-        (reference,) = set(values) - set(each)
-        for run, (change, low, high) in each.items():
-            assert change == pytest.approx(values[run] - values[reference], rel=0.01)
-            assert low < change < high
 
 
 @pytest.mark.slow
@@ -241,18 +144,6 @@ def test_a_gain_that_falls_at_moments_of_two_runs_is_no_drift(tmp_path: Path) ->
     assert values == pytest.approx([0.75, 0.75, 1.0, 1.0], abs=0.02)
 
 
-@pytest.mark.slow
-def test_friction_that_begins_in_a_single_run(tmp_path: Path) -> None:
-    run = pushed_spring(5, 30.0, lambda t, v, u, q: -0.3 * np.tanh(v / 0.01) * (t > 13.0))
-    content = diagnosed_file(tmp_path / "friction", run)
-    name = "run_difference[coulomb_friction/size]"
-    assert set(content["added"]) == {name, "coulomb_friction"}
-    (size,) = (p for key, p in content["parameters"].items() if key.startswith(name))
-    assert abs(size["value"]) == pytest.approx(0.3, abs=0.02)
-    (((first, last),),) = content["data"]["moments"].values()
-    assert first - 0.1 <= 13.0 <= last + 0.1
-
-
 def test_a_gust_in_one_run_has_its_time_and_its_size(tmp_path: Path) -> None:
     runs = [
         pushed_spring(r, 30.0, lambda t, v, u, q, r=r: 0.2 * (r == 1 and 11.0 < t < 18.0)) for r in range(3)
@@ -307,23 +198,6 @@ def test_rows_in_which_it_moves_that_are_too_few_cost_no_selection() -> None:
 
 def shaken(t: Any) -> Any:
     return 3.0 * np.sin(9.0 * t) + 2.0 * np.sin(13.0 * t + 1.0)
-
-
-@pytest.mark.slow
-def test_a_gain_that_falls_all_the_time_stays_a_drift(tmp_path: Path) -> None:
-    runs = [pushed_spring(7 + r, 40.0, lambda t, v, u, q: -0.006 * t * u) for r in range(2)]
-    content = diagnosed_file(tmp_path / "drift", *runs)
-    assert content["added"] == ["actuator_gain_drift"]
-    assert content["data"]["moments"] == {}
-
-
-def test_a_run_is_cut_at_each_of_its_moments() -> None:
-    run = pushed_spring(1, 2.0, lambda t, v, u, q: 0.0)
-    parts = cut_at([run], {"run": ((0.5, 0.7), (1.2, 1.4))})
-    names = ["run before 0.50 s", "run from 0.70 to 1.20 s", "run from 1.40 s"]
-    assert [part.name for part in parts] == names
-    assert [float(part.t[0]) for part in parts] == pytest.approx([0.0, 0.7, 1.4])
-    assert cut_at([run], {}) == (run,)
 
 
 @pytest.mark.parametrize(

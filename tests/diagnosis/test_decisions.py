@@ -7,9 +7,8 @@ from typing import Any
 
 import pytest
 
-from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions, Wording
+from nsde_torch.diagnosis.decisions import BUDGETS, Budgets, Decisions, Wording
 from nsde_torch.errors import ConfigError
-from nsde_torch.inference.maximum import LONGEST_S
 from tests.helpers.diagnosed import diagnosed
 
 _SPRING, _FRICTION = "mass_spring_damper", {"coulomb_friction": {"size": 0.3}}
@@ -38,11 +37,6 @@ def test_no_module_reads_the_defaults_behind_the_back_of_its_caller(root: Path) 
         if re.search(r"\b(DECISIONS|BUDGETS)\.", line)
     }
     assert behind == set()
-
-
-def test_noise_of_a_regression_remembers_as_long_as_a_disturbance_lasts() -> None:
-    """One rule in two places, as settings are read without torch."""
-    assert DECISIONS.noise_memory == LONGEST_S
 
 
 def test_a_number_out_of_range_is_refused() -> None:

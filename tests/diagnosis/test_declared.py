@@ -58,27 +58,6 @@ def test_a_force_that_was_logged_the_wrong_way_round_is_named_on_page_and_termin
     assert "<b>Warning.</b> With the opposite sign of &#39;force&#39;" in html
 
 
-@pytest.mark.parametrize(
-    ("words", "column", "sign", "shift"),
-    [
-        ("the opposite sign of 'force'", None, -1.0, 0.0),
-        ("'theta' counted from the other side", 2, 1.0, np.pi),
-    ],
-)
-@pytest.mark.slow
-def test_columns_of_a_cart_that_are_turned_are_told_apart(
-    words: str, column: int | None, sign: float, shift: float
-) -> None:
-    def change(run: Run) -> Run:
-        x = np.array(run.x)
-        if column is not None:
-            x[:, column] += shift
-        return replace(run, x=x, u=sign * np.asarray(run.u))
-
-    _, content = told("cartpole", change, durations=(3.0,) * 4)
-    assert words in content["warnings"][0]["sentence"]
-
-
 @pytest.mark.parametrize("system", ["mass_spring_damper", pytest.param("cartpole", marks=pytest.mark.slow)])
 def test_a_sound_log_has_no_warnings_and_its_parameters_are_told_with_intervals(system: str) -> None:
     _, content = told(system, lambda run: run, seed=4)

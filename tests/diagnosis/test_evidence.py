@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import ncf
 
-from nsde_torch.diagnosis.evidence import bonferroni, by_blocks, chance, jackknife, left_out, not_shown
+from nsde_torch.diagnosis.evidence import chance, jackknife, left_out, not_shown
 from nsde_torch.diagnosis.joint_selection import JointSelection, Round
 from nsde_torch.diagnosis.outcome import estimated
 from nsde_torch.diagnosis.result import outlier_warnings
@@ -110,14 +110,6 @@ def test_an_information_that_draws_tell_makes_no_chance_too_small() -> None:
         assert below(p, level) <= slack(level, 400)
 
 
-def test_the_sum_over_blocks_is_a_fair_test_of_its_mean() -> None:
-    p = [by_blocks(np.random.default_rng(seed).normal(size=BLOCKS)) for seed in range(2000)]
-    for level in (0.01, 0.05, 0.2, 0.5):
-        assert below(p, level) <= slack(level, 2000)
-    assert below(p, 0.05) > 0.03
-    assert by_blocks(np.zeros(BLOCKS)) == 1.0
-
-
 # ---- power ------------------------------------------------------------------------------------------------
 
 
@@ -151,13 +143,6 @@ def test_intervals_of_ninety_per_cent_hold_the_truth_that_often(share: float, co
 
 
 # ---- multiplicity -----------------------------------------------------------------------------------------
-
-
-def test_the_best_of_many_is_below_alpha_no_more_often_than_one_would_be() -> None:
-    rng = np.random.default_rng(0)
-    best = [bonferroni(float(rng.uniform(size=30).min()), 30) for _ in range(2000)]
-    assert below(best, 0.05) == pytest.approx(0.05, abs=0.015)
-    assert bonferroni(0.5, 30) == 1.0
 
 
 def _selected(*errors: float, alone: float = np.inf) -> JointSelection:

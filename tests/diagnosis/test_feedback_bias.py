@@ -1,29 +1,22 @@
 """What feedback may hide: which effects count beside it, and what is sure behind smoothers."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any, cast
 
-import numpy as np
 import pytest
 
-from nsde_torch.diagnosis import decision
 from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.feedback_bias import (
     FeedbackBiased,
-    allowances,
     behind_smoothers,
     chance_beyond,
-    lengths_of_parameters,
     with_suspects,
 )
 from nsde_torch.diagnosis.joint_selection import JointSearch
-from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.inference import LogLikelihood
-from nsde_torch.sysid.feedback_test import FACTOR, Answer, FeedbackTest, leaning
+from nsde_torch.sysid.feedback_test import FACTOR, Answer, FeedbackTest
 from nsde_torch.systems import make_system
-from tests.helpers.diagnosed import recorded
 from tests.inference.springs import linear_runs
 
 DRIVEN = {"the input of w_x": ("w_x",), "the input of w_z": ("w_z",)}
@@ -85,30 +78,6 @@ def test_an_effect_counts_by_what_it_brings_beyond_what_may_be_hidden() -> None:
     assert "data.instruments" in FeedbackBiased("angular_damping", ("w_x",)).reason
 
 
-def test_an_effect_is_bent_by_inputs_between_rows_as_far_as_it_leans_along_them() -> None:
-    product = "force = c1 q q_dot"
-    system = make_system("mass_spring_damper")
-    runs = recorded("mass_spring_damper", durations=(8.0,) * 3).runs
-    with_product = system.with_effects(system.make_effect(product, {"c1": 0.1}))
-    fitted = Search(system, runs, 1.0, Options()).quick(with_product)
-    lean = dict(zip(fitted.vector.labels, leaning(fitted)[0], strict=True))
-    assert lean["force_gain"] > 0.5
-    assert lean[f"{product}.c1"] < 0.6 * lean["force_gain"]
-
-    way = "force"
-    answers = (Answer(way, "q_dot", 0.001, 1e-9),)
-    test = FeedbackTest(answers, (), driven={way: ("q_dot",)}, rows=1000, between={"q_dot": 30.0})
-    lengths = lengths_of_parameters(test, fitted)
-    (own,) = fitted.vector.of(product)
-    assert allowances(lengths, [own])["q_dot"] == pytest.approx((30.0 * lean[f"{product}.c1"]) ** 2)
-    # so does what inputs know of a step
-    knows = replace(test, knowledge=(Answer(way, "q_dot", 0.0, 0.5, upper=0.4),))
-    assert allowances(lengths_of_parameters(knows, fitted), [own])["q_dot"] == pytest.approx(
-        FACTOR**2 * 400 * lean[f"{product}.c1"] ** 2
-    )
-    assert lengths_of_parameters(FeedbackTest(), fitted) == {}
-
-
 @pytest.mark.slow
 def test_a_lag_is_suspected_beside_what_was_found_without_it() -> None:
     system = make_system("mass_spring_damper")
@@ -120,51 +89,3 @@ def test_a_lag_is_suspected_beside_what_was_found_without_it() -> None:
     assert with_suspects(replace(found, selected={}), search, system).suspected == ()
     found = replace(found, selected={"coulomb_friction": cast(Any, None)})
     assert set(with_suspects(found, search, system).suspected) & {"input_delay", "actuator_lag"}
-
-
-@pytest.mark.parametrize("moves", [("q_dot",), ()], ids=["a force", "a limit that is not reached"])
-def test_of_effects_that_all_may_be_feedback_the_one_that_brings_least_goes_first(
-    moves: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    # beside a force that brings nothing a friction brings less than feedback may hide, and alone far more
-    brought = {("friction", "force"): (550.0, -140.0), ("friction",): (1140.0,), ("force",): (1000.0,)}
-    allowed = {("friction", "force"): (780.0, 2800.0), ("friction",): (200.0,), ("force",): (200.0,)}
-
-    def base(*names: str) -> Any:
-        vector = SimpleNamespace(**dict.fromkeys(("of", "sizes"), lambda name: [names.index(name)]))
-        return SimpleNamespace(names=names, vector=vector)
-
-    def joint(*names: str) -> Any:
-        return SimpleNamespace(
-            names=names,
-            candidates=1,
-            less=lambda name: joint(*(n for n in names if n != name)),
-            selected={name: SimpleNamespace(without=without(names, name)) for name in names},
-        )
-
-    def without(names: tuple[str, ...], name: str) -> Any:
-        out = base(*(n for n in names if n != name))
-        out.left_out = name
-        return out
-
-    def gained(before: Any, after: Any) -> dict[str, float]:
-        return {"q_dot": 0.5 * brought[after.names][after.names.index(before.left_out)]}
-
-    patches: dict[str, Any] = {
-        "nats_by_channel": gained,
-        "moved_channels": lambda regression, name: moves if name == "force" else ("q_dot",),
-        "lengths_of_parameters": lambda test, r: {"q_dot": np.sqrt(np.array(allowed[r.names]))},
-        "found_by": lambda search, of: [SimpleNamespace(name=n) for n in of.names],
-        "fitted_system": lambda regression: None,
-    }
-    for name, stub in patches.items():
-        monkeypatch.setattr(decision, name, stub)
-    log: Any = SimpleNamespace(
-        loop=lambda regression: FeedbackTest(), shown=lambda system, name: False, moments={}
-    )
-    both = joint("friction", "force")
-    search: Any = SimpleNamespace(level=lambda family: 0.01, at=lambda place: place)
-    chosen = Outcome("undecided", base(), base(*both.names), patches["found_by"](None, both), both)
-    kept = decision.set_aside(search, chosen, log)
-    assert [f.name for f in kept.found] == ["friction"]
-    assert [h.name for h in kept.hidden] == ["force"]

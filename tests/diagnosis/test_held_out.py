@@ -1,6 +1,6 @@
 """Runs left out judge an effect by its own channels, step by step, and not by predictions under replayed inputs."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
@@ -11,75 +11,22 @@ import pytest
 from nsde_torch.diagnosis.cross_validation import (
     HeldOut,
     Scored,
-    by_likelihood,
-    held_out,
     one_step,
 )
 from nsde_torch.diagnosis.decision import _shared, judged_on_runs_left_out, sized
 from nsde_torch.diagnosis.decisions import Options
-from nsde_torch.diagnosis.joint_selection import Evidence, fitted_at
+from nsde_torch.diagnosis.joint_selection import Evidence
 from nsde_torch.diagnosis.outcome import Estimate, Found, Outcome
 from nsde_torch.diagnosis.pipeline import diagnose
 from nsde_torch.diagnosis.reading import Log, not_sure
 from nsde_torch.diagnosis.residual_tests import Dependence
 from nsde_torch.diagnosis.search import Search, moved_channels
-from nsde_torch.inference import LogLikelihood
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import make_system
 from tests.helpers.diagnosed import diagnosed, recorded
 
 SPRING = "mass_spring_damper"
-
-
-def effect_on_runs_left_out(name: str, *, seed: int, values: Mapping[str, float] | None = None) -> HeldOut:
-    """The spring without and with an effect, on runs that hold it if it has values."""
-    system = make_system(SPRING)
-    made = recorded(
-        SPRING, *([] if values is None else [{name: values}]), seed=seed, durations=(5.0,) * 4, dt=0.02
-    )
-    spec = SysidSpec(SPRING, dt=made.dt, horizon=system.defaults.horizon)
-    effect = system.make_effect(name)
-
-    return held_out(
-        (system, system.with_effects(effect)),
-        spec,
-        made.runs,
-        fitted=by_likelihood([fitted_at(LogLikelihood(system, made.runs, run_in=True), system, None)]),
-        steps=Search(system, made.runs, 1.0, Options()).steps,
-        clock=1.0,
-        seed=0,
-        without={name: system},
-        moved={name: ("q_dot",)},
-    )
-
-
-@pytest.mark.slow
-def test_an_effect_that_is_not_there_does_not_surely_raise_the_log_likelihood() -> None:
-    found = [
-        effect_on_runs_left_out("quadratic_damping", seed=seed).own["quadratic_damping"] for seed in range(4)
-    ]
-    assert sum(cast(float, f.low) > 0 for f in found) <= 1
-    assert sum(f.nats for f in found) < 0  # what is fitted to nothing costs
-    assert all(cast(float, f.low) <= f.nats <= cast(float, f.high) for f in found)
-
-
-@pytest.mark.slow
-def test_an_effect_that_is_there_surely_raises_it_and_leaves_less() -> None:
-    for seed in range(2):
-        measured = effect_on_runs_left_out("coulomb_friction", seed=seed, values={"size": 0.2})
-        mine = measured.own["coulomb_friction"]
-        assert cast(float, mine.low) > 0
-        assert mine.residual_ratio["q_dot"] < 0.9
-        assert mine.against == ""
-        whole = measured.content["one_step"]
-        assert whole["nats"] == pytest.approx(mine.nats)  # it is all that was found
-        assert whole["quantities"]["velocity"]["nats"] == pytest.approx(whole["channels"]["q_dot"]["nats"])
-        left = measured.content["residual"]["q_dot"]
-        assert left["ratio"] == pytest.approx(left["after"] / left["before"])
-        assert left["low_90"] < left["difference"] < left["high_90"] < 0
-        assert left["unit"] == "m/s2"
-        assert measured.content["inputs"] == "replayed"
 
 
 # ---- what judges --------------------------------------------------------------------------------------

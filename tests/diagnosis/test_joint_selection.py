@@ -1,22 +1,20 @@
-""""""
+"""Effects are selected together, by the likelihood of the whole machine."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from scipy.signal import butter, lfilter, sosfiltfilt
+from scipy.signal import butter, sosfiltfilt
 
-import nsde_torch
 from nsde_torch.data import Run
-from nsde_torch.diagnosis import joint_selection, pipeline
+from nsde_torch.diagnosis import joint_selection
 from nsde_torch.diagnosis.decisions import Options
-from nsde_torch.diagnosis.joint_selection import FittedPhysics, Instead, JointSearch, JointSelection
+from nsde_torch.diagnosis.joint_selection import FittedPhysics, JointSearch, JointSelection
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.inference import LogLikelihood
 from nsde_torch.systems import make_system
-from tests.helpers.diagnosed import assert_interval, recorded
+from tests.helpers.diagnosed import recorded
 from tests.inference.springs import linear_runs, rubbing, small_runs
 
 STRIBECK = {"k": 5.06, "b": 0.5, "g": 1.0}
@@ -33,13 +31,6 @@ def two_frictions(seed: int, seconds: float = 8.0) -> list[Run]:
     effects = {"coulomb": {"size": 0.231}, "quadratic": {"size": 0.224}}
     machine = replace(rubbing(0.0), values=STRIBECK, effects=effects, noise=(0.001, 0.003), gust=0.02)
     return small_runs(machine, 4, seconds, seed=seed)
-
-
-@pytest.mark.slow
-def test_nothing_is_selected_where_nothing_is_missing() -> None:
-    found = selected(small_runs(rubbing(0.0), 3, 8.0, seed=4))
-    assert not found.selected
-    assert max(p.nats for p in found.rounds[0].look) < 5.0
 
 
 def test_two_frictions_of_one_speed_are_both_selected_with_their_sizes() -> None:
@@ -80,38 +71,6 @@ def test_a_delay_is_selected_whose_lack_hides_the_gain_of_the_input() -> None:
 
 
 @pytest.mark.slow
-def test_a_time_shorter_than_half_a_step_joins_what_is_declared() -> None:
-    found = selected(linear_runs(4, 8.0, seed=1, lag=0.006))  # steps of 0.02 s
-    assert not found.selected
-    assert set(found.aside) < {"actuator_lag", "input_delay"}
-    assert len(found.aside) == 1
-    assert set(found.aside) < set(found.declared.system.effect_names)
-    assert [r.chosen for r in found.rounds] == [*found.aside, ""]
-
-
-@pytest.mark.slow
-def test_few_rows_that_are_asked_first_change_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
-    runs = two_frictions(seed=1)
-    whole = selected(runs)
-    asked: list[tuple[str, bool]] = []
-    instead_here = JointSearch.instead_here
-
-    def counted(self: JointSearch, name: str, place: FittedPhysics) -> Instead:
-        found = instead_here(self, name, place)
-        asked.append((name, found == Instead()))
-        return found
-
-    monkeypatch.setattr(JointSearch, "instead_here", counted)
-    monkeypatch.setattr(joint_selection, "_ROWS", 500)
-    few = selected(runs)
-    assert {name for name, _ in asked} >= set(few.selected)
-    assert any(alone for _, alone in asked)
-    mine, theirs = ({n: one.ties for n, one in s.selected.items()} for s in (few, whole))
-    assert mine == theirs
-    np.testing.assert_allclose(few.final.best.theta, whole.final.best.theta)
-
-
-@pytest.mark.slow
 def test_friction_is_selected_in_states_without_what_lies_above_a_frequency() -> None:
     band = 8.0
     runs = []
@@ -125,64 +84,6 @@ def test_friction_is_selected_in_states_without_what_lies_above_a_frequency() ->
     assert found.final.best.theta[at] == pytest.approx(0.2, abs=3.0 * found.final.best.standard_errors[at])
     # as they are, increments that are gone above the band contradict any noise
     assert selected([replace(run, low_pass={}) for run in runs]).final.best.misfit
-
-
-@pytest.mark.slow
-def test_a_diagnosis_reports_the_nats_of_the_likelihood() -> None:
-    data = nsde_torch.simulate(
-        "mass_spring_damper", effects=[{"coulomb_friction": {"size": 0.3}}], durations=[8.0] * 3, seed=5
-    )
-    found = nsde_torch.diagnose(data, system="mass_spring_damper", say=False)
-    assert found.added == ["coulomb_friction"]
-    assert found.outcome.joint is not None
-    (effect,) = found.outcome.found
-    assert effect.evidence.nats > 50.0
-    assert effect.evidence.p < 1e-6
-    assert_interval(found.parameters, "coulomb_friction.size", 0.3, slack=0.01, width=0.1)
-    outcome = found.outcome
-    for fit, place in ((outcome.declared, outcome.joint.declared), (outcome.final, outcome.joint.final)):
-        np.testing.assert_array_equal(fit.theta, place.best.theta)
-
-
-@pytest.mark.parametrize("smoothed", [True, False])
-@pytest.mark.slow
-def test_behind_a_smoother_the_declared_physics_decides_which_rows_are_looked_at(smoothed: bool) -> None:
-    machine = replace(rubbing(0.3), noise=(0.0, 0.0))
-    rng, runs = np.random.default_rng(3), []
-    for one in small_runs(machine, 3, 8.0, seed=4):
-        noise = rng.normal(size=one.x.shape) * np.array([0.002, 0.006])
-        if smoothed:  # over four rows
-            noise = lfilter(np.ones(4) / 2.0, 1.0, noise, axis=0)
-        runs.append(replace(one, x=one.x + noise, band={"q_dot": 0.5 / one.dt}))
-    system, said = make_system("mass_spring_damper"), list[str]()
-    search = Search(system, runs, 1.0, Options(), say=lambda stage, done, total: said.append(stage))
-    log: Any = SimpleNamespace(
-        runs=runs,
-        slowest={},
-        system=system,
-        begun=None,
-        loop=lambda regression: SimpleNamespace(closed_loop=False),
-        recorded=SimpleNamespace(clock=1.0),
-    )
-    _, found = pipeline._selected(log, search)
-    assert found.final.at.of.apart_s == (0.05 if smoothed else 0.0)
-    assert set(found.selected) == {"coulomb_friction"}
-    rounds = [stage for stage in said if stage.startswith("round 1")]
-    assert len(rounds) == 1  # nothing was selected twice
-
-
-@pytest.mark.slow
-def test_thirty_machines_without_an_effect_stay_silent() -> None:
-    wrong = []
-    for seed in range(30):
-        rng = np.random.default_rng([7, seed])
-        values = {"k": rng.uniform(1.0, 8.0), "b": rng.uniform(0.2, 0.8), "g": 1.0}
-        noise = tuple(rng.choice([0.3, 1.0, 4.0]) * np.array([0.001, 0.003]))
-        machine = replace(rubbing(0.0), values=values, noise=noise, gust=float(rng.choice([0.0, 0.02, 0.08])))
-        found = selected(small_runs(machine, 3, 8.0, seed=100 + seed))
-        if found is None or found.selected:
-            wrong.append(seed)
-    assert len(wrong) <= 1  # of alpha 0.01 each, more is seen once in thirty times
 
 
 @pytest.mark.slow

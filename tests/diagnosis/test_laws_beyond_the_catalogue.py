@@ -1,43 +1,36 @@
 """Laws that no catalogue has: found, verified and written, or unexplained; silence where there are none."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.signal import butter, filtfilt
 
 import nsde_torch
 from nsde_torch.data import RawRun
+from nsde_torch.diagnosis.between_runs import reference
+from nsde_torch.diagnosis.beyond_catalogue import same_effect, zero_of_an_input
+from nsde_torch.diagnosis.candidates import candidate_names, effect_of, joined, starts, values_of
 from nsde_torch.diagnosis.decisions import Budgets, Decisions, Options
-from nsde_torch.diagnosis.laws import Term, terms_of
+from nsde_torch.diagnosis.laws import terms_of
 from nsde_torch.diagnosis.result import looks_like
+from nsde_torch.diagnosis.search import Search, fitted_system
+from nsde_torch.effects import effect_class
 from nsde_torch.effects.expression_grammar import parse
+from nsde_torch.inference.steps import data_sizes
+from nsde_torch.simulation import simulate
 from nsde_torch.sysid.feedback_test import FeedbackTest
-from nsde_torch.systems import make_system
+from nsde_torch.systems import System, make_system
 from nsde_torch.systems.options import system_options
-from tests.helpers.diagnosed import assert_interval, diagnosed
-from tests.helpers.two_joints import TwoJoints
+from tests.helpers.diagnosed import assert_interval, diagnosed, recorded
+from tests.helpers.two_joints import HOME
 
-OUTSIDE = Path(__file__).parents[2] / "benchmarks" / "blind"
 LAW = "force = c1 q q_dot"
 HALF = "force = c1 max(q_dot, 0)^2"
 SHORT: dict[str, Any] = {"durations": (8.0,) * 4, "dt": 0.02}
-
-
-def test_a_friction_that_goes_with_the_place_is_a_law_and_a_wide_one_no_doubt_of_a_product() -> None:
-    rng = np.random.default_rng(0)
-    values = {"q": rng.normal(size=500), "v": rng.normal(size=500)}
-    parts = {term.parts for term in terms_of(["q", "v"], values, ["q"], ["v"])}
-    dry = "sign(v, k1)"
-    assert {(f"q^2 {dry}",), (f"cos(2 q) {dry}",), (dry, f"cos(2 q) {dry}")} <= parts
-    assert not any("sign(q" in part and "v" in part.replace(dry, "") for term in parts for part in term)
-    wide, product, other = (
-        Term(text, (text,), {"k1": 1.0} if "k1" in text else {}, 0) for text in (f"q^2 {dry}", "q^2 v", "q v")
-    )
-    assert wide.contains(product)
-    assert not product.contains(wide)
-    assert not wide.contains(other)
 
 
 def finding(content: dict[str, Any], name: str) -> dict[str, Any]:
@@ -93,45 +86,6 @@ def test_a_law_that_leaves_what_inputs_predict_as_it_was_is_not_named(
 
 
 @pytest.mark.slow
-def test_a_hinge_is_found_with_its_place() -> None:
-    stop = "force = c1 max(q - k1, 0)"
-    _, content = diagnosed("mass_spring_damper", {stop: {"c1": -6.0, "k1": 0.2}}, **SHORT)
-    assert (content["verdict"], content["added"]) == ("effect_found", [stop])
-    assert content["parameters"][f"{stop}.k1"]["value"] == pytest.approx(0.2, abs=0.02)
-    assert content["parameters"][f"{stop}.c1"]["value"] == pytest.approx(-6.0, rel=0.1)
-    assert "a stop or a spring" in finding(content, stop)["looks_like"]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("system", "law", "size"),
-    [
-        # the noise model has learned the first two, and no test of one variable shows them: functions say what to try
-        ("mass_spring_damper", "force = c1 q q_dot^2", -10.0),
-        ("mass_spring_damper", "force = c1 q^2 q_dot", -10.0),
-        ("mass_spring_damper", "force = c1 q_dot^3", -0.6),  # told as a quadratic damping and a friction
-        ("mass_spring_damper", "force = c1 q_dot^3", -0.2),  # a quadratic damping leaves no structure of it
-        ("cartpole", "torque = c1 x_dot theta_dot", -0.15),
-    ],
-)
-def test_a_law_is_named_with_its_size_and_what_imitates_it_gives_way(
-    system: str, law: str, size: float
-) -> None:
-    making = SHORT if system == "mass_spring_damper" else {"durations": (4.0,) * 6}
-    _, content = diagnosed(system, {law: {"c1": size}}, **making)
-    assert (content["verdict"], content["added"]) == ("effect_found", [law])
-    assert not finding(content, law)["lead"]
-    assert held(content, f"{law}.c1", size, slack=0.5)
-
-
-@pytest.mark.slow
-def test_two_effects_of_one_speed_that_are_there_stay() -> None:
-    both = ({"coulomb_friction": {"size": 0.15}}, {"quadratic_damping": {"damping": 0.4}})
-    _, content = diagnosed("mass_spring_damper", *both, durations=(8.0,) * 4)
-    assert sorted(content["added"]) == ["coulomb_friction", "quadratic_damping"]
-
-
-@pytest.mark.slow
 def test_beside_an_effect_of_the_catalogue_that_one_keeps_its_name() -> None:
     law = "force = c1 q^2"
     both = ({law: {"c1": -1.0}}, {"coulomb_friction": {"size": 0.15}})
@@ -148,15 +102,6 @@ def test_laws_are_tried_neither_beside_named_candidates_nor_where_the_budget_has
     assert (content["verdict"], content["added"]) == ("unexplained", [])
     _, content = diagnosed("mass_spring_damper", truth, budgets=Budgets(laws=0), **SHORT)
     assert all(f["lead"] and f["kind"] != "formula" for f in content["findings"])
-
-
-@pytest.mark.skipif(not OUTSIDE.is_dir(), reason="the benchmarks are not part of a wheel")
-@pytest.mark.slow
-def test_what_one_run_alone_has_is_no_law(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(OUTSIDE)
-    burst = {"outside:Burst": {"size": 1.0, "moment": 4.0, "width": 0.3}}
-    _, content = diagnosed("mass_spring_damper", burst, **SHORT)
-    assert not [name for name in content["added"] if "=" in name]
 
 
 def test_what_has_one_sign_has_no_size_and_no_side() -> None:
@@ -220,51 +165,6 @@ def test_what_a_law_looks_like_is_said_where_something_can_be_said(
     assert found is None if words is None else words in str(found)
 
 
-FOLDER = Path(__file__).parents[2] / "benchmarks" / "blind"
-needs_outside = pytest.mark.skipif(not FOLDER.is_dir(), reason="the benchmarks are not part of a wheel")
-
-
-@pytest.fixture
-def _outside(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(FOLDER)
-
-
-@needs_outside
-@pytest.mark.usefixtures("_outside")
-@pytest.mark.slow
-def test_a_magnet_on_the_pole_is_a_ripple_of_the_catalogue_and_unexplained_without_it() -> None:
-    magnet = {"outside:PoleMagnet": {"size": 1.5}}
-    _, content = diagnosed("cartpole", magnet, durations=(4.0,) * 16)
-    assert content["added"] == ["ripple[pole]"]
-    found = content["parameters"]
-    assert found["ripple[pole].order"]["value"] == pytest.approx(2.0, abs=0.02)
-    assert_interval(found, "ripple[pole].sine", -1.5)
-    few = Options(candidates=("coulomb_friction[pole]", "quadratic_damping[pole]"))
-    _, content = diagnosed("cartpole", magnet, options=few, durations=(4.0,) * 16)
-    assert content["verdict"] == "unexplained"
-    assert "no effect of the catalogue" in content["summary"]
-    first = next(s for s in content["unexplained"] if s["variable"] == "theta")
-    assert first["channel"] == "theta_dot"
-    assert first["period"] == pytest.approx(np.pi, rel=0.1)
-    assert "periodically" in first["sentence"]
-
-
-@needs_outside
-@pytest.mark.usefixtures("_outside")
-@pytest.mark.slow
-def test_a_spring_that_hardens_faster_than_the_catalogue_knows_is_a_law_with_its_power() -> None:
-    case = ("mass_spring_damper", {"outside:QuinticStiffness": {"size": 8.0}})
-    _, content = diagnosed(*case, durations=(10.0,) * 6)
-    law = "force = c1 q^5"
-    assert (content["verdict"], content["added"]) == ("effect_found", [law])
-    assert content["parameters"][f"{law}.c1"]["value"] == pytest.approx(-8.0, rel=0.15)
-    _, content = diagnosed(*case, durations=(10.0,) * 6, budgets=Budgets(laws=0))
-    assert content["verdict"] == "unexplained" or all(f["lead"] for f in content["findings"])
-    assert content["added"] in ([], ["cubic_stiffness"])
-    first = content["unexplained"][0]
-    assert (first["channel"], first["variable"], first["symmetry"]) == ("q_dot", "q", "odd")
-
-
 @pytest.fixture(scope="module")
 def runs() -> list[RawRun]:
     """A spring that is damped where it is stretched: -0.7 q q_dot above zero, by an integrator of its own."""
@@ -302,23 +202,89 @@ def test_where_no_law_may_be_tried_it_is_provisional(runs: list[RawRun]) -> None
     assert "another law" in finding["lead_reason"]
 
 
-def test_a_coupling_of_two_speeds_and_an_angle_is_found() -> None:
-    runs = []
-    for seed in range(3):
-        rng, n, dt = np.random.default_rng(seed), 750, 0.02
-        aim = np.repeat(rng.uniform(-1.5, 1.5, (n // 25, 2)), 25, axis=0)
-        x, u, z = np.zeros((n, 4)), np.zeros((n, 2)), np.zeros(4)
-        for k in range(n):
-            x[k] = z + rng.normal(size=4) * [0.02, 0.02, 0.001, 0.001]
-            u[k] = 2.0 * (aim[k] - x[k, [3, 2]]) - 0.6 * x[k, [1, 0]]
+@pytest.mark.parametrize(
+    ("law", "values", "name"),
+    [
+        ("force = c1 q^3", {"c1": -2.0}, "cubic_stiffness"),
+        ("force = c1 sign(q_dot, k1)", {"c1": -0.2, "k1": 0.05}, "coulomb_friction"),
+        ("force = c1 q q_dot", {"c1": 0.8}, None),
+    ],
+)
+def test_a_law_that_is_a_multiple_of_an_effect_takes_its_name(
+    law: str, values: dict[str, float], name: str | None
+) -> None:
+    data, system = recorded("mass_spring_damper", {law: values}), make_system("mass_spring_damper")
+    steps = Search(system, data.runs, 1.0, Options()).steps
+    found = same_effect(steps, joined(system, law, {**values}), law)
+    assert (found and found[0]) == name
 
-            def rate(z: Any, tau: Any = u[k]) -> Any:
-                w2, w1, q2, _ = z
-                return np.array([tau[1] / 0.2, (tau[0] + 0.3 * np.sin(q2) * w1 * w2) / 0.5, w2, w1])
 
-            z = solve_ivp(lambda _, z, f=rate: f(z), (0.0, dt), z, rtol=1e-7, atol=1e-9).y[:, -1]
-        runs.append(RawRun(f"run_{seed}", dt * np.arange(n), x, u))
-    found = nsde_torch.diagnose(runs, system=TwoJoints, say=False)
-    law = "torque[q1] = c1 sin(q2) w2 w1"
-    assert found.added == [law]
-    assert_interval(found.parameters, f"{law}.c1", 0.3, slack=0.005, width=0.1)
+@pytest.mark.slow
+def test_behind_a_smoother_no_law_is_tried() -> None:
+    law = {"force = c1 q q_dot": {"c1": 0.8}}
+    made = simulate("mass_spring_damper", effects=[law], durations=(8.0,) * 4, seed=1)
+    b, a = butter(2, 0.16)
+    runs = [replace(run, x=filtfilt(b, a, run.x, axis=0)) for run in made.runs]
+    found = nsde_torch.diagnose(runs, system="mass_spring_damper")
+    assert all(run.band for run in found.data.runs)
+    assert not [name for name in found.content()["added"] if "=" in name]
+
+
+SPRING = "mass_spring_damper"
+FRICTION = {"coulomb_friction": {"size": 0.3, "width": 0.002}}
+_FRICTIONS = ("asymmetric_friction", "coulomb_friction", "stribeck_friction")
+
+
+def spring(*effects: str) -> System:
+    return make_system(SPRING, effects=effects)
+
+
+def test_a_spring_is_sought_where_none_is_declared() -> None:
+    assert "linear_spring[cart]" in candidate_names(make_system("cartpole"))
+    assert not [n for n in candidate_names(spring()) if n.startswith("linear_spring")]
+
+
+def test_what_an_effect_contains_is_not_tried_beside_it() -> None:
+    assert "coulomb_friction" in candidate_names(spring())
+    assert "coulomb_friction" not in candidate_names(spring("asymmetric_friction"))
+    assert "coulomb_friction" not in candidate_names(spring("stribeck_friction"))
+    assert "asymmetric_friction" in candidate_names(spring("coulomb_friction"))
+
+
+@pytest.mark.parametrize("name", ["asymmetric_friction", "stribeck_friction"])
+def test_what_stands_in_for_an_effect_starts_as_that_effect(name: str) -> None:
+    made = recorded(SPRING, FRICTION, seed=3, dt=0.02, durations=(6.0,) * 4)
+    rubbing = Search(spring(), made.runs, 1.0, Options(candidates=_FRICTIONS))
+    friction = spring().make_effect("coulomb_friction", FRICTION["coulomb_friction"])
+    system = fitted_system(rubbing.quick(spring().with_effects(friction)))
+    scales = data_sizes(system, rubbing.steps)
+    begun = starts(system, name, scales, ())
+    coulomb = effect_of(system, "coulomb_friction")
+    size = values_of(coulomb)["size"]
+    sizes = [own for own, theirs in effect_class(name).shared(type(coulomb)).items() if theirs == "size"]
+    assert any(all(start[key] == pytest.approx(size) for key in sizes) for start in begun)
+    assert len(begun) == len({tuple(map(str, start.items())) for start in begun})
+
+
+@pytest.mark.parametrize(
+    ("law", "said"),
+    [
+        ("torque[q1] = c1", "a zero that is off: what 0.3 N m more of tau1 would do"),
+        ("torque[q1] = c1 q2", None),
+    ],
+)
+def test_a_law_that_does_what_a_constant_in_an_input_does_says_so(law: str, said: str | None) -> None:
+    plant = {"inputs": [0.1, 0.1], "noise": [0.01] * 4}
+    data, system = recorded(HOME, durations=(4.0,), dt=0.01, plant=plant), make_system(HOME)
+    steps = Search(system, data.runs, 1.0, Options()).steps
+    assert zero_of_an_input(steps, system, system.make_effect(law, {"c1": 0.3})) == said
+
+
+def test_the_reference_is_the_sound_run_by_the_number_that_differs_most() -> None:
+    """Of motors of which the third breaks in the second run, the run before that; of whole runs the middle one."""
+    rng = np.random.default_rng(0)
+    numbers = 0.003 * rng.normal(size=(4, 6))
+    numbers[2, 2] += 0.12
+    numbers[2, 0] = np.median(numbers[:, 0])
+    assert reference(numbers, [False, True, True, False]) == 1
+    assert reference(np.array([[0.3], [0.1], [0.2]]), [False] * 3) == 2

@@ -1,23 +1,28 @@
 """A stage whose numbers fail costs itself and not the run."""
 
-from collections.abc import Callable
+import json
+import warnings
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, final
 
 import numpy as np
 import pytest
 import torch
+from torch import Tensor
 
 import nsde_torch
-from nsde_torch.data import DataSet
+from nsde_torch.data import DataSet, RawRun
 from nsde_torch.diagnosis import pipeline
 from nsde_torch.diagnosis.cross_validation import HeldOut
 from nsde_torch.diagnosis.result import Diagnosis
 from nsde_torch.diagnosis.stages import NotDone, OptionalStages, needed
 from nsde_torch.diagnosis.text import lines
-from nsde_torch.errors import DataError
+from nsde_torch.effects import Parameter, Port
+from nsde_torch.errors import DataError, NsdeError
+from nsde_torch.systems import Defaults, ErrorGroup, ResidualPort, System
 
 OPTIONAL = ("undone", "without_standstill", "guard_of", "cross_validated", "ceiling")
 
@@ -135,3 +140,138 @@ def test_a_search_that_fails_numerically_is_an_error_with_a_remedy() -> None:
     words = r"the search .* \(LinAlgError: SVD did not converge\)\. Look at .* inspect"
     with pytest.raises(DataError, match=words):
         needed("the search for effects", raising(np.linalg.LinAlgError("SVD did not converge")))
+
+
+ANSWER = "answer"
+ONE_ROW = "a run needs at least two"
+SHORT = "no stretch of 20 steps without a gap: the longest has "
+
+
+@final
+class FreePendulum(System):
+    """A pendulum that nothing drives."""
+
+    name = "free_pendulum"
+    state_names, state_units = ("theta", "theta_dot"), ("rad", "rad/s")
+    input_names = input_units = ()
+    position_derivatives = (("theta", "theta_dot", "world"),)
+    ports = {Port.TORQUE: 1}
+    residual_ports = {Port.TORQUE: ResidualPort(1, 1.0, "rad/s2")}
+    sensor_noise = True
+    defaults = Defaults(0.02, 25, (0.002, 0.1), 0.1, 1.0, "euler_maruyama")
+    PARAMETERS = {"gravity": Parameter(15.0, "1/s2", low=0.0), "damping": Parameter(0.2, "1/s", low=0.0)}
+    error_names = state_names
+    error_groups = (ErrorGroup("angle", (0,), "rad"), ErrorGroup("rate", (1,), "rad/s"))
+    feature_names, feature_units = state_names, state_units
+
+    def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
+        swing = -self.value("gravity") * torch.sin(x[:, :1]) - self.value("damping") * x[:, 1:]
+        return torch.cat((x[:, 1:], swing + forces.get(Port.TORQUE, torch.zeros_like(swing))), 1)
+
+    def features(self, x: Tensor) -> Tensor:
+        return x
+
+
+def swinging(rows: int, noise: float) -> list[RawRun]:
+    """Two runs of a pendulum that swings out, at 100 Hz."""
+    runs = []
+    for number, theta in enumerate((1.0, -0.7)):
+        rng, y, x = np.random.default_rng(number), np.array([theta, 0.0]), np.empty((rows, 2))
+        for k in range(rows):
+            x[k] = y
+            for _ in range(10):
+                y = y + 0.001 * np.array([y[1], -19.6 * np.sin(y[0]) - 0.3 * y[1]])
+        x += noise * rng.normal(size=x.shape) * (0.002, 0.01)
+        runs.append(RawRun(f"run_{number}", 0.01 * np.arange(rows), x, np.zeros((rows, 0))))
+    return runs
+
+
+@cache
+def springs(noise: float) -> tuple[RawRun, ...]:
+    options = {"sensor_noise": noise, "process_noise": noise, "durations": [4.0, 4.0]}
+    return nsde_torch.simulate("mass_spring_damper", seed=1, **options).runs
+
+
+def cut(
+    change: Callable[[RawRun], None] = lambda run: None, rows: int = 400, noise: float = 1.0
+) -> list[RawRun]:
+    """The first rows of runs of a spring, changed."""
+    runs = [RawRun(r.name, r.t[:rows].copy(), r.x[:rows].copy(), r.u[:rows].copy()) for r in springs(noise)]
+    for run in runs:
+        change(run)
+    return runs
+
+
+def still(run: RawRun) -> None:
+    run.x[:], run.u[:] = (0.2, 0.0), 0.5
+
+
+def constant_input(run: RawRun) -> None:
+    run.u[:] = 0.3
+
+
+def pieces(run: RawRun) -> None:
+    run.t += 0.5 * (np.arange(len(run.t)) // 5)
+
+
+def no_rates(run: RawRun) -> None:
+    run.x[:, 1] = np.nan
+
+
+def at_rate(hertz: float) -> Callable[[RawRun], None]:
+    def change(run: RawRun) -> None:
+        run.x[:, 1] *= 0.01 * hertz
+        run.t[:] = np.arange(len(run.t)) / hertz
+
+    return change
+
+
+def case(name: str, runs: Callable[[], list[RawRun]], expected: str = ANSWER, **more: Any) -> Any:
+    return pytest.param(runs, expected, id=name, **more)
+
+
+SPRING = (
+    case("one row", lambda: cut(rows=1), ONE_ROW),
+    case("two rows", lambda: cut(rows=2), SHORT),
+    case("nineteen rows", lambda: cut(rows=19), SHORT),
+    case("forty rows", lambda: cut(rows=40)),
+    case("pieces of five rows", lambda: cut(pieces, rows=100), SHORT),
+    case("nothing moves", lambda: cut(still), "nothing moves: q, q_dot never change"),
+    case("an input that never moves", lambda: cut(constant_input, rows=150)),
+    case("two kilohertz", lambda: cut(at_rate(2000.0), rows=60)),
+    case("two hertz", lambda: cut(at_rate(2.0), rows=60)),
+    case("two kilohertz, longer", lambda: cut(at_rate(2000.0), rows=150), marks=pytest.mark.slow),
+    case("no noise", lambda: cut(noise=0.0), marks=pytest.mark.slow),
+    case("positions alone", lambda: cut(no_rates), marks=pytest.mark.slow),
+)
+NO_INPUTS = (
+    case("one row", lambda: swinging(1, 1.0), ONE_ROW),
+    case("thirty rows", lambda: swinging(30, 1.0)),
+    case("a second and a half", lambda: swinging(150, 1.0)),
+    case("no noise", lambda: swinging(300, 0.0), marks=pytest.mark.slow),
+)
+
+
+def diagnosed(runs: list[RawRun], system: str | type[System]) -> str:
+    """`ANSWER`, or the package's own error; anything else, warnings too, is raised."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        try:
+            data = nsde_torch.read(runs, system=system)
+            found = nsde_torch.diagnose(data, system=system, candidates=["coulomb_friction"])
+            json.dumps(found.content(), allow_nan=False)
+            nsde_torch.train(data, system=system, model="sysid", test=[], say=lambda text: None)
+        except NsdeError as error:
+            return str(error)
+    assert found.report
+    return ANSWER
+
+
+@pytest.mark.parametrize(("runs", "expected"), SPRING)
+def test_every_cut_ends_in_an_answer_or_a_remedy(runs: Callable[[], list[RawRun]], expected: str) -> None:
+    assert expected in diagnosed(runs(), "mass_spring_damper")
+
+
+@pytest.mark.parametrize(("runs", "expected"), NO_INPUTS)
+def test_a_machine_without_inputs_is_diagnosed(runs: Callable[[], list[RawRun]], expected: str) -> None:
+    assert expected in diagnosed(runs(), FreePendulum)

@@ -6,29 +6,12 @@ import pytest
 import nsde_torch
 from nsde_torch.data import Run
 from nsde_torch.diagnosis.decisions import Options
-from nsde_torch.diagnosis.text import lines
 from nsde_torch.recording import Recording
 from nsde_torch.recording.smoothing import restored
 from tests.helpers.diagnosed import assert_interval, diagnosed
 from tests.helpers.encoders import encoder_runs
 
 ALONE = Options(max_effects=0)  # the recording chain is looked at before any effect
-
-
-@pytest.mark.parametrize(
-    ("system", "name", "size"), [("mass_spring_damper", "q_dot", 0.1), ("cartpole", "x_dot", -0.1)]
-)
-@pytest.mark.slow
-def test_a_rate_that_reads_too_much_is_found_where_its_integral_is_logged(
-    system: str, name: str, size: float
-) -> None:
-    _, content = diagnosed(system, recording=Recording(sensor_bias={name: size}))
-    assert content["verdict"] == "effect_found"
-    assert content["added"] == ["sensor_bias"]
-    bias = content["parameters"][f"sensor_bias.{name}"]
-    assert bias["interval_90"][0] < size < bias["interval_90"][1]
-    assert bias["unit"] == "m/s"
-    assert content["findings"][0]["kind"] == "recording"
 
 
 @pytest.mark.parametrize(
@@ -41,13 +24,6 @@ def test_a_sensor_that_comes_late_is_found_and_not_taken_for_an_effect(system: s
     late = content["parameters"][f"sensor_delay.{name}"]
     assert late["interval_90"][0] < 0.05 < late["interval_90"][1]
     assert f"{name} is logged" in content["findings"][0]["sentence"]
-
-
-@pytest.mark.slow
-def test_a_filtered_sensor_is_told_from_a_delayed_one() -> None:
-    _, content = diagnosed("cartpole", recording=Recording(sensor_lag={"theta_dot": 0.05}))
-    assert content["added"] == ["sensor_lag"]
-    assert content["parameters"]["sensor_lag.theta_dot"]["value"] == pytest.approx(0.05, rel=0.05)
 
 
 @pytest.mark.slow
@@ -65,17 +41,6 @@ def test_a_camera_whose_angle_and_rate_are_late_alike_is_found_where_effects_lea
     for channel in ("theta", "theta_dot"):
         assert_interval(content["parameters"], f"sensor_delay.{channel}", 0.04, slack=0.002)
     assert content["unexplained"] == []
-
-
-@pytest.mark.xfail(reason="of 9 ms 0.7 are left, which are called a memory of the input", strict=True)
-@pytest.mark.slow
-def test_less_than_a_step_is_undone_where_physics_is_better_for_it_and_is_no_finding() -> None:
-    late = Recording(sensor_delay={"theta_dot": 0.009})
-    there, content = diagnosed("cartpole", recording=late, durations=(4.0,) * 8)
-    assert (content["verdict"], content["added"]) == ("no_effect", [])
-    (aside,) = content["aside"]
-    assert aside["effect"] == "sensor_delay"
-    assert there.recorded.values("sensor_delay")["theta_dot"] == pytest.approx(0.009, rel=0.1)
 
 
 @pytest.mark.slow
@@ -104,47 +69,6 @@ def test_restored_inputs_are_nearer_to_those_that_acted_than_their_average() -> 
     assert left < 0.2 * np.square(average - u)[inner].mean()
 
 
-@pytest.mark.slow
-def test_a_clock_that_runs_wrong_is_found() -> None:
-    _, content = diagnosed(
-        "cartpole", options=ALONE, recording=Recording(clock_scale=1.08), durations=(4.0,) * 12
-    )
-    assert content["added"] == ["clock_scale"]
-    assert_interval(content["parameters"], "clock_scale.scale", 1.08)
-    assert content["data"]["clock_scale"] == content["parameters"]["clock_scale.scale"]["value"]
-    assert "x and theta move further than their rates say" in content["findings"][0]["sentence"]
-    assert content["ties"] == []
-
-
-@pytest.mark.parametrize("scale", [1.06, 0.94])
-@pytest.mark.slow
-def test_a_single_rate_that_reads_too_much_is_scaled_and_the_clock_is_a_tie(scale: float) -> None:
-    chain = Recording(sensor_scale={"q_dot": scale})
-    _, content = diagnosed("mass_spring_damper", options=ALONE, recording=chain, durations=(12.0,) * 6)
-    (finding,) = content["findings"]
-    assert "times what its position moves" in finding["sentence"]
-    assert_interval(content["parameters"], "sensor_scale.q_dot", scale)
-    assert content["data"]["clock_scale"] == 1.0
-    assert content["declared_parameters"]["linear_spring.stiffness"]["value"] == pytest.approx(1.0, rel=0.01)
-    (tie,) = content["ties"]
-    assert tie["effects"] == ["sensor_scale", "clock_scale"]
-    assert "correct the times" in tie["experiment"]
-    (line,) = (line for line in lines(content) if "indistinguishable from clock_scale" in line)
-    assert "nsde design" not in line
-    (done,) = (text for text in content["data"]["done"] if "q_dot reads" in text)
-    assert "(q: " in done
-    assert "a single position and its rate cannot tell" in done
-
-
-@pytest.mark.slow
-def test_an_angle_that_reads_too_much_is_named_where_no_kinematics_can_show_it() -> None:
-    _, content = diagnosed(
-        "cartpole", recording=Recording(sensor_bias={"theta": 0.03}), durations=(4.0,) * 6, seed=4
-    )
-    assert (content["verdict"], content["added"]) == ("effect_found", ["position_bias[pole]"])
-    assert_interval(content["parameters"], "position_bias[pole].bias", 0.03)
-
-
 @pytest.mark.parametrize("rate", ["none", "backward"])
 @pytest.mark.slow
 def test_friction_is_named_and_what_was_inferred_is_said(rate: str) -> None:
@@ -159,7 +83,12 @@ def test_friction_is_named_and_what_was_inferred_is_said(rate: str) -> None:
 
 
 @pytest.mark.slow
-def test_nothing_is_named_of_a_count_that_holds_nothing() -> None:
-    runs = encoder_runs("savgol", runs=4, friction=0.0, noise=5e-4, counts=True)
-    found = nsde_torch.diagnose(runs, system="mass_spring_damper").content()
-    assert (found["verdict"], found["added"]) == ("no_effect", [])
+def test_a_clock_that_runs_wrong_is_found() -> None:
+    _, content = diagnosed(
+        "cartpole", options=ALONE, recording=Recording(clock_scale=1.08), durations=(4.0,) * 12
+    )
+    assert content["added"] == ["clock_scale"]
+    assert_interval(content["parameters"], "clock_scale.scale", 1.08)
+    assert content["data"]["clock_scale"] == content["parameters"]["clock_scale.scale"]["value"]
+    assert "x and theta move further than their rates say" in content["findings"][0]["sentence"]
+    assert content["ties"] == []

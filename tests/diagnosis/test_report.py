@@ -3,7 +3,6 @@
 import json
 import math
 import re
-from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -14,8 +13,7 @@ from nsde_torch.diagnosis.report import write_report
 from nsde_torch.diagnosis.text import lines, short_lines
 from nsde_torch.diagnosis.time_series import plotly_script
 from nsde_torch.evaluation.report import between_ends, number
-from nsde_torch.sysid.guard import Guarded, Objection
-from tests.helpers.diagnosed import Diagnosed, diagnosed, pushed_spring, sound_spring
+from tests.helpers.diagnosed import Diagnosed, pushed_spring, sound_spring
 
 _VOID = {"meta", "br", "img"}
 
@@ -130,48 +128,6 @@ def test_the_terminal_says_the_same(found: Diagnosed) -> None:
     # residual and likelihood come before predictions, which are called what they are
     first, second = said.index("log-likelihood [nat]"), said.index("open-loop, inputs replayed from the log")
     assert first < second < said.index("position [m]")
-
-
-def test_the_content_holds_what_the_schema_promises(found: Diagnosed) -> None:
-    _, content = found
-    promised = {
-        *("schema", "verdict", "added", "summary", "findings", "ranking", "ties", "not_shown", "parameters"),
-        *("declared_parameters", "residual", "structure", "unexplained", "errors", "data", "alpha"),
-        *("seed", "seconds"),
-    }
-    assert promised <= set(content)
-    errors = content["errors"]
-    assert {
-        *("before", "after", "ratio", "difference", "units", "horizons_s", "measured_on", "runs"),
-        *("inputs", "closed_loop", "one_step", "residual"),
-    } <= set(errors)
-    step = errors["one_step"]
-    assert step["low_90"] < step["nats"] < step["high_90"]
-    assert set(step["channels"]) == set(errors["residual"]) == set(content["residual"])
-    finding = content["findings"][0]
-    assert finding["held_out"]["nats"] == pytest.approx(step["nats"])  # there is no other effect
-    assert finding["moves"] == ["q_dot"]
-    for quantity, row in errors["ratio"].items():
-        assert set(row) == {f"{h:g}" for h in errors["horizons_s"]}
-        for horizon, ratio in row.items():
-            before, after = errors["before"][quantity][horizon], errors["after"][quantity][horizon]
-            assert ratio == pytest.approx(after / before)
-    (row,) = content["residual"].values()
-    assert row["floor"] <= row["after"] < row["before"] <= row["measured"]
-    assert json.loads(json.dumps(content, allow_nan=False)) == json.loads(json.dumps(content))
-
-
-@pytest.mark.slow
-def test_no_interval_is_given_where_something_speaks_against_the_fit() -> None:
-    found, before = diagnosed("mass_spring_damper", {"coulomb_friction": {"size": 0.3}})
-    assert before["parameters"]["coulomb_friction.size"]["interval_90"] is not None
-    doubted = Guarded((Objection("worse", "the fit is worse than nothing", "look at the columns"),))
-    content = replace(found, explanation=replace(found.explanation, guard=doubted)).content()
-    every = {**content["parameters"], **content["declared_parameters"]}
-    assert set(every) == {**before["parameters"], **before["declared_parameters"]}.keys()
-    assert all(p["interval_90"] is None and p["bound"] == "rejected" for p in every.values())
-    assert "rejected" in "\n".join(lines(content))
-    assert content["warnings"][0]["sentence"] == "the fit is worse than nothing"
 
 
 @pytest.fixture

@@ -5,18 +5,16 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 import nsde_torch
-from nsde_torch import time_limit
 from nsde_torch.data import DataSet
 from nsde_torch.diagnosis.files import EFFECTS, REPORT, RESULT
 from nsde_torch.diagnosis.result import Diagnosis
-from nsde_torch.diagnosis.stages import ERRORS, NO_TIME, NOT_YET, SELECTION, STOPPED, TESTS
+from nsde_torch.diagnosis.stages import ERRORS, SELECTION, STOPPED, TESTS
 from nsde_torch.diagnosis.text import lines
 from nsde_torch.effects import files as effects_files
 from nsde_torch.errors import CheckpointError, ConfigError, DataError
@@ -93,28 +91,6 @@ def test_before_anything_is_known_it_is_an_interrupt_as_ever(stopped: Stopped) -
         stopped("fitting the declared physics")
 
 
-def test_it_ends_in_the_time_that_was_asked_for_with_what_is_known(
-    made: DataSet, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    now, told = [0.0], []
-    monkeypatch.setattr(time_limit, "perf_counter", lambda: now[0])
-
-    def say(stage: str, done: int, total: int) -> None:
-        told.append(stage)
-        if stage == ERRORS:
-            now[0] = 61.0
-
-    found = _diagnosed(made, say=say, max_minutes=1.0)
-    assert told[-1] == ERRORS  # noticed within the stage: no later one begins
-    assert found.added == [FRICTION]
-    content = found.content()
-    assert content["so_far"]["stopped_after_min"] == 1.0
-    assert content["not_done"][0] == {"stage": ERRORS, "why": NO_TIME}
-    assert lines(content)[0].startswith(f"stopped after 1 min as asked: not done: {ERRORS}, ")
-    with pytest.raises(KeyboardInterrupt):
-        found.finished()
-
-
 def test_a_resumed_diagnosis_goes_on_from_what_was_selected(
     made: DataSet, stopped: Stopped, tmp_path: Path
 ) -> None:
@@ -154,44 +130,6 @@ def test_only_the_same_data_and_model_are_gone_on_with(
     replace(known, so_far=None).save(tmp_path)
     with pytest.raises(CheckpointError, match="came to its end"):
         nsde_torch.diagnose(made, system=SPRING, resume=tmp_path)
-
-
-@pytest.mark.slow
-def test_python_shows_what_was_found_and_each_stage_leaves_less_to_do(
-    made: DataSet, capsys: pytest.CaptureFixture[str]
-) -> None:
-    told: list[dict[str, Any]] = []
-
-    def so_far(found: Diagnosis) -> None:
-        told.append(found.content())
-        json.dumps(told[-1], allow_nan=False)
-
-    found = _diagnosed(made, so_far=so_far)
-    shown = capsys.readouterr()
-    assert not shown.out
-    later = [line for line in shown.err.splitlines() if ERRORS in line]
-    assert f"so far: {FRICTION} (+" in later[0]
-    left = [[n["stage"] for n in one["not_done"]] for one in told]
-    assert left[0][0] == SELECTION
-    assert all(set(after) <= set(before) for before, after in pairwise(left))
-    assert all(n["why"] == NOT_YET for one in told for n in one["not_done"])
-    first = next(one for one in told if one["added"])
-    assert first["verdict"] == "undecided"
-    assert first["so_far"]["roughly_left_s"] > 0
-    content = found.finished().content()
-    assert "so_far" not in content
-    assert content["not_done"] == []
-    assert not any("provisional" in p for p in content["parameters"].values())
-    assert lines(content)[0] == "verdict: effect_found"
-
-
-def test_progress_is_off_where_it_is_asked_for(made: DataSet, capsys: pytest.CaptureFixture[str]) -> None:
-    def enough(found: Diagnosis) -> None:
-        raise KeyboardInterrupt
-
-    found = _diagnosed(made, say=False, so_far=enough)
-    assert found.verdict == "undecided"
-    assert capsys.readouterr() == ("", "")
 
 
 def test_a_line_says_what_was_found_and_roughly_how_long_is_left() -> None:

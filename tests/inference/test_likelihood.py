@@ -8,10 +8,10 @@ import torch
 
 from nsde_torch.arrays import Array
 from nsde_torch.data import Run
-from nsde_torch.inference import LogLikelihood, kernels, log_likelihood, steps
+from nsde_torch.inference import LogLikelihood, kernels, log_likelihood
 from nsde_torch.inference.estimate import maximised
 from nsde_torch.inference.lanes import WIDTH
-from nsde_torch.inference.steps import Chunks, low_passed, steps_of
+from nsde_torch.inference.low_pass import low_passed
 from nsde_torch.systems import make_system
 from tests.helpers.diagnosed import recorded
 from tests.inference.springs import (
@@ -26,7 +26,6 @@ from tests.inference.springs import (
     exact_step,
     levels_of,
     linear_runs,
-    moved,
     spring,
     value,
 )
@@ -100,64 +99,6 @@ def test_a_clock_that_runs_slow_is_made_up_for() -> None:
     slow = Run(run.name, 0.5 * run.t, run.x, run.u)
     expected = log_likelihood(spring(), [run], levels=levels_of())
     assert log_likelihood(spring(), [slow], levels=levels_of(), clock=2.0) == pytest.approx(expected)
-
-
-@pytest.mark.parametrize("inferred", [False, True])
-def test_cutting_a_long_run_into_chunks_changes_little(
-    inferred: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    runs = linear_runs(1, 12.0)
-    if inferred:
-        runs = [replace(run, inferred={"q_dot": 0.4}) for run in runs]
-    levels = levels_of(SENSOR[:1] if inferred else SENSOR)
-
-    def both() -> tuple[float, float]:
-        near, far = (log_likelihood(moved(by), runs, levels=levels) for by in ({}, {K: 0.5}))
-        return near, near - far
-
-    cut, told_cut = both()
-    monkeypatch.setattr(steps, "_LENGTH", (len(runs[0]), len(runs[0])))
-    whole, told_whole = both()
-    # what the filter was told before a chunk: some tenths of a nat of ten thousand
-    assert cut != whole
-    assert cut == pytest.approx(whole, abs=1.5)
-    # and less in what parameters are compared by
-    assert told_cut == pytest.approx(told_whole, abs=0.1)
-
-
-Stretches = tuple[tuple[int, int], ...]
-
-
-def numbered(lengths: tuple[int, ...], gaps: dict[int, Stretches], dt: float) -> list[Run]:
-    out, at = [], 0
-    for k, n in enumerate(lengths):
-        number = np.arange(at, at + n, dtype=np.float64)
-        x = np.column_stack([number, number])
-        out.append(Run(f"run_{k}", dt * number, x, number[:, None], segments=gaps.get(k, ())))
-        at += n
-    return out
-
-
-CASES: dict[str, tuple[tuple[int, ...], dict[int, Stretches]]] = {
-    "one shorter than a chunk": ((50,), {}),
-    "of two rows": ((2, 2), {}),
-    "exactly a chunk": ((140,), {}),
-    "a row more than a chunk": ((141,), {}),
-    "long": ((2357,), {}),
-    "several, long and short": ((700, 33, 141, 90), {}),
-    "with gaps": ((800, 300), {0: ((0, 40), (45, 450), (500, 800)), 1: ((10, 12), (20, 299))}),
-}
-
-
-@pytest.mark.parametrize("dt", [0.1, 0.02, 0.001])
-@pytest.mark.parametrize("late", [0, 30])
-@pytest.mark.parametrize("case", CASES)
-def test_each_row_after_the_first_ones_of_a_stretch_counts_once(case: str, late: int, dt: float) -> None:
-    runs = numbered(*CASES[case], dt)
-    chunks = Chunks(steps_of(spring(), runs, clock=1.0, smooth=False), late=late)
-    expected = np.concatenate([run.x[a + 1 + late : b, 0] for run in runs for a, b in run.segments])
-    counted = chunks.y[chunks.counted][:, 0].numpy()
-    np.testing.assert_array_equal(np.sort(counted), expected)
 
 
 @pytest.mark.parametrize("count", [1, WIDTH, WIDTH + 3])

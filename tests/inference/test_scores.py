@@ -117,32 +117,6 @@ def test_the_score_of_a_force_is_the_slope_of_the_log_likelihood(fitted: Fitted)
         assert along[step] == pytest.approx(slope, rel=1e-4, abs=1e-6 * abs(along).max())
 
 
-def test_the_information_of_draws_is_that_of_columns(fitted: Fitted) -> None:
-    best, at = fitted
-    found = force_scores(at)
-    space = at.of.space
-    rng = np.random.default_rng(1)
-    functions = np.cumsum(rng.normal(size=(len(space.steps), 3)), 0)
-    functions -= functions.mean(0)
-    rows = space.chunks.row.numpy()
-    space.use(best.theta)
-    columns = space.columns(at.about.x, at.about.slopes, best.free.tolist(), at.about.after)
-    forces = [(0, torch.from_numpy(functions[rows]))]
-    total = grams(space, at.levels, at.about, at.at, columns, forces=forces).total
-    k = 1 + len(best.free)
-    free = np.linalg.pinv(total[1:k, 1:k], hermitian=True)
-    exact = total[k:, k:] - total[k:, 1:k] @ free @ total[1:k, k:]
-    pull = total[k:, 0] - total[k:, 1:k] @ free @ total[1:k, 0]
-    scores = found.of(functions, 0)
-    size = np.sqrt(np.diag(exact))
-    np.testing.assert_allclose(scores.total / size, pull / size, atol=0.05)
-    scale = size * size[:, None]
-    np.testing.assert_allclose(scores.information / scale, exact / scale, atol=0.5)
-    # blocks are parts of the whole
-    np.testing.assert_allclose(scores.blocks.sum(0), scores.total)
-    assert len(found.blocks) == len(scores.blocks)
-
-
 SMALL = 1e-5
 
 

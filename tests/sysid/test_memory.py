@@ -112,3 +112,15 @@ def test_memory_that_nobody_knows_exactly_is_integrated_with_what_is_known_held(
         m[k + 1, 0] = u[k, 0] + (m[k, 0] - u[k, 0]) * fade
         m[k + 1, 1] = m[k, 0] + (m[k, 1] - m[k, 0]) * fade
     np.testing.assert_allclose(last, m[-1 - len(steps) : -1, 1], atol=0.02)
+
+
+def test_the_first_steps_of_a_segment_only_bring_up_memory() -> None:
+    lagging = make_system("hexacopter", effects=["motor_lag"])
+    x = np.zeros((900, 13))
+    x[:, 6] = 1.0
+    x[:, 0] = 0.01 * np.arange(900)  # a log in which nothing moves is refused
+    flight = Run("f", 0.01 * np.arange(900), x, np.arange(900.0)[:, None] * np.ones(6))
+    steps = steps_of(lagging, [flight], clock=1.0, smooth=False)
+    assert (len(steps.run_in), len(steps)) == (40, 859)
+    assert steps.run_in.u[-1, 0] == 39
+    assert steps.u[0, 0] == 40

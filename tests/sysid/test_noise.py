@@ -44,26 +44,6 @@ def test_sensor_noise_is_found_as_a_moving_average() -> None:
     assert max(abs(autocorrelation(white, k)) for k in range(1, 10)) < 0.05
 
 
-def test_whitening_is_causal() -> None:
-    law = Noise(0.7, np.array([-0.5, 0.2]), 1.0)
-    r = drawn(2)
-    white = law.whiten(r[:, None], ONE)
-    changed = r.copy()
-    changed[4000:] += 5.0
-    later = law.whiten(changed[:, None], ONE)
-    np.testing.assert_array_equal(white[1:4001], later[1:4001])
-    assert not np.allclose(white[4001], later[4001])
-
-
-def test_whitened_stretches_know_nothing_of_each_other() -> None:
-    law = Noise(0.7, np.array([-0.5, 0.2]), 1.5)
-    r = drawn(3)[:500]
-    both = law.whiten(r[:, None], Series(((0, 200), (200, 500))))
-    alone = [law.whiten(part[:, None], Series(((0, len(part)),))) for part in (r[:200], r[200:])]
-    np.testing.assert_allclose(both, np.concatenate(alone), rtol=1e-12)
-    assert extended(Series(((0, 200), (200, 500)))).edges == ((0, 201), (201, 502))
-
-
 def test_the_limit_of_c_is_one_for_a_sensor_alone_and_falls_with_what_else_is_noisy() -> None:
     assert noise.carry_limit(0.0, 0.0, 1.0, 0.01) > 0.999
     quiet, loud = (noise.carry_limit(0.0, known, 1.0, 0.01) for known in (0.1, 1.0))

@@ -14,7 +14,7 @@ from nsde_torch.cli.hydra_command import store
 from nsde_torch.cli.registry import hydra_command
 from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError
-from nsde_torch.models import MODELS, kind
+from nsde_torch.models import MODELS
 from nsde_torch.models.kind import Choice, model_kind, model_options
 from nsde_torch.systems import SYSTEMS
 from nsde_torch.training.options import LOSSES, TRAINERS, LossOptions, TrainerOptions, machine_losses
@@ -97,18 +97,6 @@ def test_constants_that_are_set_win() -> None:
 def test_sigma_is_learned_unless_the_loss_or_the_user_declares_it(words: list[str]) -> None:
     spec = _spec(_configuration("system=cartpole", *words))
     assert (spec.sigma_max is None) == (words in ([], ["trainer=paper"]))
-
-
-@pytest.mark.parametrize(
-    ("asked", "reach", "expected"),
-    [([], 0, "weak"), ([], 8, "differences"), (["model.method=weak"], 8, "weak")],
-)
-def test_system_identification_takes_plain_differences_where_the_log_smoothed_its_inputs(
-    asked: list[str], reach: int, expected: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(kind.Choice, "filter_reach", property(lambda _: reach))
-    spec = _spec(_configuration("system=cartpole", "model=sysid", *asked))
-    assert (spec.method, spec.step, spec.max_iterations) == (expected, "rk4", 20)
 
 
 @pytest.mark.parametrize("words", [["model=sysid", "solver=heun"], ["model=blackbox_nsde", "solver=rk4"]])

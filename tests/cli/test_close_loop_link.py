@@ -8,7 +8,8 @@ from typing import Any
 import pytest
 import torch
 
-from nsde_torch.cli import closed_loop, fly_build
+from nsde_torch.cli import fly_build
+from nsde_torch.cli.closed_loop import experiments, loop, machines
 from nsde_torch.cli.main import main
 from nsde_torch.control.shapes import waypoints
 from nsde_torch.design.experiment import write_plan
@@ -45,7 +46,7 @@ class Flights:
 @pytest.fixture
 def flights(monkeypatch: pytest.MonkeyPatch) -> Flights:
     """Every flight is of a new vehicle in virtual time, by the cascade; a diagnosis is written, not made."""
-    made, fly = Flights(), closed_loop.fly_vehicle
+    made, fly = Flights(), machines.fly_vehicle
 
     def opened(url: str, **more: Any) -> VirtualLink:
         made.vehicle = SimulatedAutopilot(Body("quadrotor", seed=len(made.paths), latency=0.02), seed=1)
@@ -67,12 +68,12 @@ def flights(monkeypatch: pytest.MonkeyPatch) -> Flights:
             _diagnosis(out, tied=out.parent.name == "out", runs=[p.stem for p in sorted(logs.glob("*.csv"))])
 
     monkeypatch.setattr(links, "open_link", opened)
-    monkeypatch.setattr(closed_loop, "fly_vehicle", flown)
+    monkeypatch.setattr(machines, "fly_vehicle", flown)
     monkeypatch.setattr(
         fly_build, "Process", lambda maker, **more: Inline(CascadeController(PathPoints(maker.path)))
     )
-    monkeypatch.setattr(closed_loop, "diagnose_logs", diagnosed)
-    monkeypatch.setattr(closed_loop, "obtained", lambda *given, **more: Obtained())
+    monkeypatch.setattr(loop, "diagnose_logs", diagnosed)
+    monkeypatch.setattr(experiments, "obtained", lambda *given, **more: Obtained())
     return made
 
 
@@ -228,18 +229,3 @@ def test_experiments_stay_within_what_a_flight_is_ended_by(
 ) -> None:
     assert said in refused(*LINKED, word)
     assert not flights.paths
-
-
-def test_no_turn_is_planned_that_is_faster_than_what_is_sent() -> None:
-    from omegaconf import OmegaConf
-
-    from nsde_torch.cli.closed_loop import limit_key, plan_limits
-    from nsde_torch.cli.commands.close_loop import CloseLoopConfig
-
-    config = OmegaConf.structured(CloseLoopConfig(by="link", out_dir="out"))
-    assert plan_limits(config)["w_z"] == [-2.5, 2.5]
-    assert plan_limits(config)["w_x"] == [-4.0, 4.0]
-    assert limit_key("w_z", config) == "limits.yaw_rate"  # what is said to be in the way
-    assert limit_key("w_x", config) == "experiment.rate"
-    config.by = "plant"  # whose motors are commanded directly
-    assert plan_limits(config)["w_z"] == [-4.0, 4.0]

@@ -1,22 +1,18 @@
 """Schemas say what every key means; configurations compose, with files of the user's own as choices."""
 
-import dataclasses
 import inspect
-import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from hydra import compose, initialize_config_module
-from omegaconf import OmegaConf
 
 import nsde_torch
 from nsde_torch import conf, simulation
-from nsde_torch.cli import groups, jobs
-from nsde_torch.cli.commands.train import TrainConfig
+from nsde_torch.cli import groups
 from nsde_torch.cli.hydra_command import store
-from nsde_torch.cli.keys import check, key, walk
+from nsde_torch.cli.keys import check, walk
 from nsde_torch.cli.main import main
 from nsde_torch.cli.registry import hydra_command, hydra_commands
 from nsde_torch.cli.schemas import CHOICES
@@ -24,13 +20,6 @@ from nsde_torch.errors import ConfigError
 from nsde_torch.sde.registry import STEPS
 from nsde_torch.systems import SYSTEMS
 from tests.helpers.commands import Said
-
-KNOWN = {group: groups.choices(group) for group in groups.defaults("train")}
-TRAIN_CHOICES = [
-    {g: names[k % len(names)] for g, names in KNOWN.items()} for k in range(max(map(len, KNOWN.values())))
-]
-"""So few that every choice of every group is among them."""
-
 
 BOMB = "\n".join(
     f"k{n}: &k{n} [{', '.join([f'*k{n - 1}'] * 9 if n else 'x' * 9)}]" for n in range(9)
@@ -43,18 +32,6 @@ def hydra_ready() -> Iterator[None]:
     store(hydra_command("train"))
     with initialize_config_module("nsde_torch.conf", version_base="1.3"):
         yield
-
-
-@pytest.mark.usefixtures("hydra_ready")
-@pytest.mark.parametrize("chosen", TRAIN_CHOICES)
-def test_every_choice_of_every_group_composes_and_passes_its_checks(chosen: dict[str, str]) -> None:
-    words = [*(f"{group}={choice}" for group, choice in chosen.items()), "run_dir=r", "sweep_dir=s"]
-    if "data.path" in [entry.path for entry in groups.keys("train", groups.selected("train", words))]:
-        words.append("data.path=somewhere")
-    words += [f"{group}.kind=my_module:Mine" for group, choice in chosen.items() if choice == "own"]
-    config = compose("train", overrides=words)
-    jobs.check_config(config, "train", words)
-    assert OmegaConf.get_type(config) is TrainConfig
 
 
 def test_choices_of_systems_and_solvers_are_those_of_the_library() -> None:
@@ -178,31 +155,6 @@ def test_no_plain_key_bears_the_name_of_a_group(command: str) -> None:
     names = {folder.name for folder in Path(conf.__path__[0]).iterdir() if folder.is_dir()}
     plain = {entry.path for entry in walk(SCHEMAS[command]) if "." not in entry.path}
     assert not plain & names
-
-
-@dataclasses.dataclass
-class _Sample:
-    size: int = key(3, "size", low=1, high=9)
-    rate: float = key(0.1, "rate", unit="1/s", above=0)
-    widths: list[int] = key([4], "widths", low=1)
-    way: str = key("up", "way", choices=("up", "down"))
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "words"),
-    [
-        ("size", 0, "`a.size` must be from 1 to 9; got 0."),
-        ("size", 10, "from 1 to 9; got 10"),
-        ("rate", 0.0, "`a.rate` must be above 0; got 0.0."),
-        ("rate", math.nan, "above 0; got nan"),
-        ("widths", [4, 0], "`a.widths` must be at least 1; got 0."),
-        ("way", "left", "`a.way` must be up | down; got 'left'."),
-    ],
-)
-def test_a_value_out_of_range_is_named_with_the_range(name: str, value: Any, words: str) -> None:
-    with pytest.raises(ConfigError) as caught:
-        check(_Sample, {name: value}, "a.")
-    assert words in str(caught.value)
 
 
 # Keys whose home is the signature of a function: command, key -> function, argument.

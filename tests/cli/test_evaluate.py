@@ -58,27 +58,6 @@ def refused(refused: Said) -> Said:
     return run
 
 
-@pytest.mark.slow
-def test_one_run_on_its_own_test_gives_the_figures_of_its_training(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    content = evaluate(f"run={here / 'nsde'}", "particles=199")
-    test = metrics(here / "nsde")["test"]
-    model = content["models"][0]
-    assert model["name"] == "nsde"
-    assert model["errors"] == test["errors"]["model"]
-    for name in ("coverage", "crps", "nll", "diverged"):
-        assert model[name] == test[name]
-    assert content["data"]["runs"][0]["name"] == "swing_2"
-    assert model["held_out"]
-    said = capsys.readouterr().out
-    tables = ("constant velocity", "90% interval", "CRPS [m]", "NLL [nat]")
-    assert all(word in said for word in ("swing_2", "held out", *tables, "evaluation.json")), said
-    assert RED not in said
-    assert "TRAINED ON" not in said
-    assert {file.stem for file in Path("out/plots").iterdir()} == {"errors", "calibration", "rollouts"}
-
-
 def test_two_runs_are_compared_and_runs_of_training_are_red(
     here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -182,16 +182,6 @@ def test_a_flight_leaves_numbers_a_log_that_other_commands_read_and_figures(show
     assert len(rows) == 42
 
 
-@pytest.mark.slow
-def test_many_machines_fly_in_one_batch_with_noise_of_their_own() -> None:
-    words = ["run=declared", "duration=0.3", "machines=3", "at_once=3", "reference=hover", "out_dir=out"]
-    assert main(["track", *words, *FAST]) == 0
-    content = json.loads(Path("out/tracking.json").read_text())
-    flights = content["controllers"]["MPC, declared physics"]["flights"]
-    assert len({f["rmse_m"] for f in flights}) == 3
-    assert len(list(Path("out/log").glob("*.csv"))) == 3
-
-
 def test_a_folder_with_a_flight_is_not_written_over(refused: Said) -> None:
     Path("out").mkdir()
     Path("out/tracking.json").write_text("{}")

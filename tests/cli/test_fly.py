@@ -9,8 +9,6 @@ from typing import Any
 import pytest
 
 from nsde_torch.cli import fly_build, track_build
-from nsde_torch.cli.exit_status import INTERRUPTED, EndedError
-from nsde_torch.cli.fly_build import check_end
 from nsde_torch.cli.main import main
 from nsde_torch.effects import files
 from nsde_torch.errors import ConfigError
@@ -23,7 +21,6 @@ from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
 from nsde_torch.px4.simulator.body import Body
 from nsde_torch.px4.simulator.simulated import VirtualLink
 from tests.helpers.commands import Said
-from tests.helpers.px4_world import under_way
 
 pytestmark = pytest.mark.usefixtures("elsewhere")
 
@@ -50,22 +47,18 @@ def vehicles(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
     [
         ([], "`run` must be given"),
         (["run=pid", "system=cartpole"], "multirotors"),
-        (["run=declared", "system=cartpole"], "multirotors"),
         (["run=pid", "system=boat"], "no such choice"),
         (["run=nothere"], "no run directory nothere"),
         (["run=pid", "refernce=hover"], "reference"),
-        (["run=pid", "reference=hovr"], "Did you mean `reference=hover`"),
         (["run=pid", "reference=csv", "reference.path=nope.csv"], "nope.csv"),
         (["run=pid", "reference.speed=20"], "reference.check=false"),
         (["run=pid", "reference.height=-3"], "below the ground"),
         (["run=pid", "link.key_file=nope"], "`link.key_file`: nope does not exist"),
         (["run=pid", "limits.fence=[[1,2]]"], "`limits.fence` takes"),
-        (["run=pid", "limits.throttle=[0.9,0.1]"], "`limits.throttle` takes"),
         (["run=pid", "rate=20"], "from 50 to 250"),
         (["run=pid", "link.system=400"], "from 1 to 250"),
         (["run=declared", "mpc.moment_time=0.5"], "`mpc.moment_time` is of `nsde track`"),
         (["run=declared", "system.effects=nope.yaml"], "no file 'nope.yaml'"),
-        (["run=declared", "system.effects=[linear_drg]"], "linear_drag"),
         (["run=pid", "-m", "rate=50,60"], "has no sweeps"),
     ],
 )
@@ -111,17 +104,6 @@ def test_the_declared_physics_is_told_of_what_a_diagnosis_found(
     words = ["fly", "run=declared", "system.effects=effects.yaml"]
     assert "was found on system 'quadrotor'" in refused(*words, "system=hexacopter")
     assert "told of linear_drag, [0.5, 0.25, 0.125]" in refused(*words, "system=quadrotor")
-
-
-def test_a_refused_flight_is_a_fault_of_the_user_with_the_reasons(
-    vehicles: list[dict[str, Any]], capsys: pytest.CaptureFixture[str]
-) -> None:
-    words = ["run=pid", "system=quadrotor", "limits.fence=[[-1,1],[-1,1],[0,0.5]]", "out_dir=out"]
-    assert main(["fly", *words, *SHORT]) == 2
-    said = capsys.readouterr()
-    assert "leaves the fence" in said.err
-    assert "the flight did not begin; refused: not fit to fly" in said.out
-    assert "NOT seen to land" not in said.out + said.err
 
 
 @pytest.mark.parametrize(
@@ -207,23 +189,6 @@ def test_a_vehicle_in_the_air_is_landed_and_one_on_the_ground_is_refused(
     monkeypatch.setattr(links, "open_link", lambda url, **more: link)
     assert "landed and disarmed" in shown("land")
     assert body.on_ground
-
-
-_GROUND, _AIR = "stopped before it began", "was stopped, and landed"
-
-
-@pytest.mark.parametrize(
-    ("phase", "said"),
-    [(Phase.STREAM, _GROUND), (Phase.OFFBOARD, _GROUND), (Phase.TAKEOFF, _AIR), (Phase.HOLD, _AIR)],
-)
-def test_ctrl_c_is_an_interruption_whenever_it_comes(phase: Phase, said: str) -> None:
-    world = under_way(phase)
-    world.flight.stop()
-    world.run()
-    assert world.safe
-    with pytest.raises(EndedError, match=said) as error:
-        check_end(world.flight.outcome)
-    assert error.value.status == INTERRUPTED
 
 
 def test_a_port_in_use_is_said(capsys: pytest.CaptureFixture[str]) -> None:

@@ -198,20 +198,6 @@ ENDS, SMALL = ("mpc.low=[-4,-0.5]", "mpc.high=[4,1]"), ("mpc.steps=6", "mpc.hori
 GOAL = ("reference=setpoint", "reference.states={q1: 1, q2: -1}", "reference.duration=0.3")
 
 
-@pytest.mark.parametrize(
-    ("wrong", "says"),
-    [
-        ("mpc.low=[-4,-1,0]", "`low` takes a number for all inputs or 2 (tau1, tau2); got 3"),
-        ("mpc.input_weight=[1]", "`input_weight` takes a number for all inputs or 2 (tau1, tau2); got 1"),
-        ("mpc.high=[4,much]", "`high` takes a number, or one for each input"),
-    ],
-)
-def test_limits_that_do_not_fit_the_motors_of_an_arm_are_refused(
-    wrong: str, says: str, arm: list[str], refused: Said
-) -> None:
-    assert says in refused("track", *arm, *ENDS, *SMALL, *GOAL, "out_dir=no", wrong)
-
-
 @pytest.mark.slow
 def test_motors_of_an_arm_have_limits_of_their_own(arm: list[str], shown: Said, refused: Said) -> None:
     shown("track", *arm, *ENDS, *SMALL, *GOAL, "machines=2", "at_once=2", "out_dir=out")

@@ -1,6 +1,5 @@
 """Paths with every odd letter: each key of a file or folder takes them as they are, and printed commands too."""
 
-import json
 import random
 import shlex
 from pathlib import Path
@@ -91,24 +90,6 @@ def test_a_comma_separates_two_paths_in_a_sweep_alone() -> None:
     assert told(path_word("data.path=choice(a,b)", files)) == "choice(a,b)"
 
 
-@pytest.mark.usefixtures("elsewhere")
-@pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_composes_with_odd_paths(name: str, shown: Said) -> None:
-    files, plain = groups.files(name), ("str", "str | None", "Any")
-    keys = [k for k, e in files.items() if "." not in k and e.annotation in plain]
-    paths = {key: ODD[k % 12] for k, key in enumerate(keys) if key != "resume"}
-    paths |= {"data.path": "a=b, (ü)"} if "data.path" in files else {}
-    first = ["emps"] if name == "benchmark" else []
-    content = yaml.safe_load(
-        shown(name, *first, "--cfg", "job", *(f"{key}={path}" for key, path in paths.items()))
-    )
-    for key, path in paths.items():
-        group, _, leaf = key.rpartition(".")
-        found = (content[group] if group else content)[leaf]
-        listed = ["1"] if path == "[1]" and key == "run" and name == "evaluate" else path
-        assert found in (listed, [1]), key
-
-
 @pytest.fixture
 def runs(tmp_path: Path) -> Path:
     """Runs of a spring in a folder of an odd name, reached by a link of another."""
@@ -139,23 +120,6 @@ def test_one_odd_path_is_trained_on_resumed_and_evaluated(runs: Path, tmp_path: 
     assert "rün (1) a=b`: no such folder" in refused("evaluate", f"run=[{run.replace(',', '')}]")
     assert main(["evaluate", f"run={run}", "particles=2", "bootstrap=100", "out_dir=[é]"]) == 0
     assert (tmp_path / "[é]" / "evaluation.json").is_file()
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("elsewhere")
-def test_one_odd_path_is_diagnosed_and_its_effects_are_found_again(
-    runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], shown: Said
-) -> None:
-    words = ["diagnose", "system=mass_spring_damper", "candidates=[coulomb_friction]", "retrain=false"]
-    assert main([*words, f"data.path={runs.name}", "out_dir=dïag, (1)"]) == 0
-    content = json.loads((tmp_path / "dïag, (1)" / "diagnosis.json").read_text())
-    assert content["data"]["runs"] == ["run_0", "run_1", "run_2"]
-    effects = (tmp_path / "dïag, (1)" / "effects.yaml").read_text(encoding="utf-8")
-    words = shlex.split(effects.splitlines()[0].partition("use it with: ")[2])[1:]
-    capsys.readouterr()
-    made = yaml.safe_load(shown(*words, "--cfg", "job"))
-    assert made["data"]["path"] == runs.name
-    assert made["system"]["effects"] == [str(tmp_path / "dïag, (1)" / "effects.yaml")]
 
 
 @pytest.mark.usefixtures("elsewhere")

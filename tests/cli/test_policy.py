@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from nsde_torch.cli.main import main
-from nsde_torch.models import EnsembleSpec, GaussianEnsemble, NeuralSDE, SDESpec, run_directory
+from nsde_torch.models import NeuralSDE, SDESpec, run_directory
 from nsde_torch.policy import load_policy
 from tests.helpers.commands import Said
 
@@ -56,15 +56,6 @@ def test_finished_policy_can_be_continued_to_more_interactions(tmp_path: Path) -
     assert [row["interactions"] for row in result["curve"]] == [0, 48, 96, 144, 192]
 
 
-@pytest.mark.slow
-def test_sweep_over_seeds_is_ranked(tmp_path: Path, capsys: pytest.CaptureFixture[str], shown: Said) -> None:
-    sweep = tmp_path / "sweep"
-    assert main(["policy", "-m", "seed=0,1", "truth=published", f"sweep_dir={sweep}", *TINY]) == 0
-    assert len(list(sweep.glob("*/policy.safetensors"))) == 2
-    capsys.readouterr()
-    assert "truth_reward.mean" in shown("sweep-report", str(sweep))
-
-
 @pytest.mark.parametrize(
     ("word", "message"),
     [
@@ -90,21 +81,3 @@ def test_fault_of_the_user_is_named(
 def test_missing_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Said) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     assert "pip install 'nsde_torch[policy]'" in refused("policy", f"run_dir={tmp_path / 'run'}")
-
-
-@pytest.mark.slow
-def test_members_of_an_ensemble_are_kept_or_redrawn_as_asked_and_only_an_ensemble_has_them(
-    tmp_path: Path, refused: Said
-) -> None:
-    learned = tmp_path / "ensemble"
-    spec = EnsembleSpec("cartpole", dt=0.02, horizon=10)
-    run_directory.save(GaussianEnsemble(spec, generator=torch.Generator().manual_seed(0)), learned)
-    for asked, found in ((None, "fixed"), ("redrawn", "redrawn")):
-        folder = tmp_path / found
-        words = [f"environment={learned}", f"run_dir={folder}", *TINY]
-        assert main(["policy", *words, *([f"propagation={asked}"] if asked else [])]) == 0
-        assert json.loads((folder / "policy.json").read_text())["environment"]["propagation"] == found
-    words = ["propagation=fixed", f"run_dir={tmp_path / 'none'}", *TINY]
-    assert "this model is nsde" in refused("policy", f"environment={model(tmp_path / 'sde')}", *words)
-    # the folder of a run that never began is free
-    assert "environment=truth is none" in refused("policy", *words)

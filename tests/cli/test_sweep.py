@@ -146,13 +146,6 @@ def test_an_error_is_said_by_whose_fault_it_is_and_recorded(
     assert "Traceback" in failed["traceback"]
 
 
-def test_a_recorded_error_names_keys_as_the_message_does(probe: Probe, tmp_path: Path) -> None:
-    done = probe("-m", "seed=15", "sweep_dir=sweep")
-    assert "job failed: `data.path` and `seed`" in done.stdout + done.stderr
-    (failed,) = (tmp_path / "sweep").glob("*/failed.json")
-    assert json.loads(failed.read_text())["message"] == "`data.path` and `seed`"
-
-
 def test_a_resumed_run_keeps_its_choices_and_its_folder(probe: Probe, tmp_path: Path) -> None:
     assert probe("run_dir=r", "trainer.lr=0.5", "seed=2").returncode == 0
     done = probe("resume=r", "trainer.steps=77")
@@ -288,17 +281,6 @@ def test_report_is_written_as_json_and_csv(sweep: Path) -> None:
     assert len(rows) == 7
     assert rows[0]["loss"] == "paper"
     assert float(rows[0][SCORES[0]]) == 3.0
-
-
-def test_any_number_of_the_metrics_can_rank_or_be_shown(tmp_path: Path, refused: Said, shown: Said) -> None:
-    _job(tmp_path, 0, ["seed=0", "loss=a"], {"speed": 2.0, "test": {"size": 7}})
-    _job(tmp_path, 1, ["seed=0", "loss=b"], {"speed": 1.0, "test": {"size": 8}})
-    rows = [
-        line.split()
-        for line in shown("sweep-report", str(tmp_path), "--by", "speed", "--columns", "test.*").splitlines()
-    ]
-    assert ["1", "1", "1", "8", "loss=b"] in rows
-    assert "there are: speed, test.size" in refused("sweep-report", str(tmp_path), "--by", "sped")
 
 
 def test_a_folder_without_jobs_is_refused(tmp_path: Path, refused: Said) -> None:

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
 import yaml
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
@@ -55,7 +54,7 @@ def numbers(value: Any, path: str = "") -> Iterator[tuple[str, float]]:
         yield path, float(value)
 
 
-def check(folder: Path, system: str, *, tested: bool = True) -> dict[str, Any]:
+def check(folder: Path, system: str) -> dict[str, Any]:
     """What every run directory must hold; returns metrics.json."""
     text = (folder / "metrics.json").read_text()
     metrics: dict[str, Any] = json.loads(text, parse_constant=lambda word: pytest.fail(f"{word} in metrics"))
@@ -68,22 +67,20 @@ def check(folder: Path, system: str, *, tested: bool = True) -> dict[str, Any]:
         found = metrics["parameters"][name]
         assert len(found["value"]) == len(found["half_width_90"])
         assert found["unit"]
-    assert ("test" in metrics) is tested
-    if tested:
-        test = metrics["test"]
-        assert set(test) >= TEST_KEYS
-        groups = [g.name for g in machine.error_groups]
-        horizons = [f"{h:g}" for h in test["horizons_s"]]
-        assert set(test["coverage"]) >= {"0.5", "0.9", "0.95"}
-        for table in (*test["errors"].values(), *test["coverage"].values(), test["crps"]):
-            assert list(table) == groups
-            assert all(list(row) == horizons for row in table.values())
-        assert set(test["errors"]) == {"model", "hold", "constant_velocity"}
-        assert all(0 <= share <= 1 for _, share in numbers(test["coverage"]))
-        assert test["diverged"] == 0
-        assert not set(metrics["train_runs"]) & set(metrics["test_runs"])
+    test = metrics["test"]
+    assert set(test) >= TEST_KEYS
+    groups = [g.name for g in machine.error_groups]
+    horizons = [f"{h:g}" for h in test["horizons_s"]]
+    assert set(test["coverage"]) >= {"0.5", "0.9", "0.95"}
+    for table in (*test["errors"].values(), *test["coverage"].values(), test["crps"]):
+        assert list(table) == groups
+        assert all(list(row) == horizons for row in table.values())
+    assert set(test["errors"]) == {"model", "hold", "constant_velocity"}
+    assert all(0 <= share <= 1 for _, share in numbers(test["coverage"]))
+    assert test["diverged"] == 0
+    assert not set(metrics["train_runs"]) & set(metrics["test_runs"])
     pictures = {file.stem for file in (folder / "plots").iterdir()}
-    assert pictures == (PICTURES | TEST_PICTURES if tested else PICTURES)
+    assert pictures == PICTURES | TEST_PICTURES
     for file in (folder / "plots").iterdir():
         assert file.read_bytes()[:8] == PNG
         assert file.stat().st_size > 5_000
@@ -132,31 +129,6 @@ def test_hexacopter_with_a_further_effect_and_a_second_process_that_loads_it(
     words = [sys.executable, "-W", "error", "-c", code, str(folder)]
     done = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
     assert done.stdout.strip() == "(3, 2, 6, 13)", done.stderr
-
-
-@pytest.mark.slow
-def test_quadrotor_with_the_papers_loss(tmp_path: Path) -> None:
-    folder = train(tmp_path / "run", "system=quadrotor", "data.durations=[5,5]", "loss=paper")
-    metrics = check(folder, "quadrotor")
-    assert metrics["calibration"]["factor"] == 1.0
-    sigma = nsde_torch.load(folder).h.log_sigma_max.exp()
-    torch.testing.assert_close(sigma, torch.tensor(make_system("quadrotor").defaults.sigma_max))
-
-
-@pytest.mark.slow
-def test_cartpole_in_double_precision(tmp_path: Path) -> None:
-    folder = train(tmp_path / "run", "system=cartpole", "dtype=float64", "data.durations=[6,6]")
-    check(folder, "cartpole")
-    assert all(v.dtype == torch.float64 for v in nsde_torch.load(folder).state_dict().values())
-
-
-@pytest.mark.slow
-def test_mass_spring_damper_on_one_run_without_a_test(tmp_path: Path) -> None:
-    words = ["system=mass_spring_damper", "data.durations=[12]", "data.test=[]", "system.horizon=10"]
-    folder = train(tmp_path / "run", *words)
-    metrics = check(folder, "mass_spring_damper", tested=False)
-    assert metrics["test_runs"] == []
-    assert len(metrics["train_runs"]) == 1
 
 
 def spring(seconds: float, seed: int, noise: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

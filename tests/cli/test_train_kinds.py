@@ -10,7 +10,7 @@ from torch import Tensor
 
 import nsde_torch
 from nsde_torch.cli.main import main
-from nsde_torch.models import GaussianEnsemble, IdentifiedModel, Model
+from nsde_torch.models import IdentifiedModel, Model
 
 ENSEMBLE = (
     *("model=ensemble", "model.steps=20", "threads=1", "trainer.patience=1000"),
@@ -46,27 +46,6 @@ def sampled(model: Model, dt: float) -> Tensor:
 
 @on_every_system
 @pytest.mark.slow
-def test_an_ensemble_trains_saves_loads_samples_and_is_scored(
-    system: str, durations: str, dt: float, tmp_path: Path
-) -> None:
-    metrics = train(tmp_path / "run", *ENSEMBLE, f"system={system}", f"data.durations={durations}")
-    assert (metrics["model"], metrics["loss"], metrics["steps"]) == ("ensemble", "likelihood", 20)
-    assert metrics["parameters"] == {}
-    assert metrics["calibration"] == {"factor": 1.0}
-    assert metrics["polish_steps"] == 0
-    assert len(metrics["members"]["validation"]) == 5
-    assert isinstance(metrics["validation"]["score"], float)  # what ranks a sweep
-    assert metrics["test"]["diverged"] == 0
-    assert set(metrics["test"]["errors"]) == {"model", "hold", "constant_velocity"}
-    pictures = {file.stem for file in (tmp_path / "run" / "plots").iterdir()}
-    assert pictures == PICTURES | {"calibration", "learning_curves"}
-    model = nsde_torch.load(tmp_path / "run")
-    assert isinstance(model, GaussianEnsemble)
-    sampled(model, dt)
-
-
-@on_every_system
-@pytest.mark.slow
 def test_an_identified_model_trains_saves_loads_samples_and_is_scored(
     system: str, durations: str, dt: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -92,44 +71,6 @@ def test_an_identified_model_trains_saves_loads_samples_and_is_scored(
         assert value.tolist() == pytest.approx(metrics["parameters"][name]["value"], rel=1e-5, abs=1e-6)
     path = sampled(model, dt)
     assert torch.equal(path[0], path[3])
-
-
-@pytest.mark.slow
-def test_the_keys_of_an_ensemble_reach_it_and_what_does_not_apply_is_let_be(tmp_path: Path) -> None:
-    words = ("model.members=2", "model.hidden=[8]", "model.batch=7", "model.propagation=redrawn")
-    train(tmp_path / "run", *ENSEMBLE, *UNTESTED, "dtype=float64", "loss=paper", "solver=rk4", *words)
-    model = nsde_torch.load(tmp_path / "run")
-    assert isinstance(model, GaussianEnsemble)
-    spec = model.spec
-    assert (spec.members, spec.hidden, spec.batch, spec.propagation) == (2, (8,), 7, "redrawn")
-    assert model.low.dtype == torch.float64
-
-
-@pytest.mark.slow
-def test_the_keys_of_an_identification_and_effects_and_first_values_reach_the_fit(tmp_path: Path) -> None:
-    words = ("model.method=differences", "model.max_iterations=3", "solver=midpoint", "dtype=float64")
-    more = ("system.effects=[constant_force]", "+system.parameters.force_gain=0.5")
-    metrics = train(tmp_path / "run", *SYSID, *SPRING, *words, *more)
-    assert metrics["identification"]["method"] == "differences"
-    assert metrics["identification"]["iterations"] <= 3
-    assert "constant_force.acceleration" in metrics["parameters"]
-    model = nsde_torch.load(tmp_path / "run")
-    assert isinstance(model, IdentifiedModel)
-    spec = model.spec
-    assert (spec.method, spec.max_iterations, spec.step) == ("differences", 3, "midpoint")
-    assert model.clock_scale.dtype == torch.float64
-
-
-@pytest.mark.slow
-def test_what_the_data_do_not_show_is_said_and_written(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    metrics = train(tmp_path / "run", *SYSID, "system=mass_spring_damper", "data.durations=[5,5]")
-    said = capsys.readouterr().out
-    assert "not shown by the data: force_gain: nothing in the data depends on it" in said
-    assert metrics["identification"]["rank"] == 2
-    assert metrics["identification"]["not_shown"] == ["force_gain: nothing in the data depends on it"]
-    assert metrics["parameters"]["force_gain"]["half_width_90"] == [None]
 
 
 @pytest.mark.parametrize(

@@ -6,20 +6,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nsde_torch.design import diagnosis_rehearsal
+from nsde_torch.data import Run
 from nsde_torch.design.diagnosis_rehearsal import Rehearsal, following, rehearse
-from nsde_torch.design.members import Rollouts, open_loop
+from nsde_torch.design.members import Branch, Rollouts, as_run, open_loop
+from nsde_torch.design.rehearsal import fit_all
 from nsde_torch.diagnosis.decisions import Options
-from nsde_torch.diagnosis.pipeline import diagnose
 from nsde_torch.diagnosis.report import page
 from nsde_torch.diagnosis.result import Diagnosis
 from nsde_torch.diagnosis.text import rehearsal_lines, sentences
-from nsde_torch.errors import ConfigError, DataError
-from nsde_torch.models.identified import SysidSpec
-from nsde_torch.recording import assemble
+from nsde_torch.errors import ConfigError
+from nsde_torch.inference.posterior import LogWithPrior
 from nsde_torch.systems import make_system
 from tests.helpers.diagnosed import diagnosed
-from tests.helpers.encoders import encoder_runs
+from tests.helpers.ties import DT, Tie
 
 
 @pytest.fixture(scope="module")
@@ -31,24 +30,6 @@ def found() -> Diagnosis:
 @pytest.fixture(scope="module")
 def rehearsal(found: Diagnosis) -> Rehearsal:
     return rehearse(found, logs=2, seed=1)
-
-
-@pytest.mark.slow
-def test_progress_is_printed_unless_it_is_turned_off(
-    found: Diagnosis, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def refused(*args: object) -> None:
-        raise DataError("no log")
-
-    monkeypatch.setattr(diagnosis_rehearsal, "_simulated", refused)
-    capsys.readouterr()
-    assert rehearse(found).why_not == "no log"
-    assert "simulating what was found" in capsys.readouterr().err
-    stages: list[str] = []
-    rehearse(found, say=lambda stage, done, total: stages.append(stage))
-    rehearse(found, say=False)
-    assert capsys.readouterr() == ("", "")
-    assert stages == ["simulating what was found"]
 
 
 @pytest.mark.slow
@@ -117,19 +98,43 @@ def test_inputs_that_follow_keep_a_pole_up_which_replayed_ones_lose() -> None:
     assert replay > 0.5
 
 
-@pytest.mark.slow
-def test_positions_alone_are_simulated_without_a_rate() -> None:
-    system = make_system("mass_spring_damper")
-    options = Options(candidates=("coulomb_friction", "quadratic_damping"))
-    data = assemble(encoder_runs("none", runs=3, seconds=6.0), system, kind="test")
-    spec = SysidSpec("mass_spring_damper", dt=data.dt, horizon=10)
-    found = diagnose(system, spec, data, data.runs, options)
-    own = rehearse(found, logs=1)
-    assert own.why_not == ""
-    assert own.content()["effects"] == {"coulomb_friction": {"sure": 1, "lead": 0, "tied": 0}}
-    assert own.again[0]["data"]["system"] == "mass_spring_damper"
-
-
 def test_no_log_is_no_rehearsal(found: Diagnosis) -> None:
     with pytest.raises(ConfigError, match="`logs` must be at least 1; got 0"):
         rehearse(found, logs=0)
+
+
+HOLD = np.repeat([[0.1], [-0.1], [0.0]], 25, 0)
+
+
+def _flown(tie: Tie, seed: int) -> Run:
+    """An experiment of the first member in the noise of its sensors."""
+    member, rng = tie.members[0], np.random.default_rng(seed)
+    rollouts, drive = Rollouts(member.system, dt=DT), open_loop(HOLD[None])
+    x, _, u = rollouts.run(member.theta[None], np.zeros((1, 2)), drive, len(HOLD))
+    return as_run(x[0] + [0.005, 0.01] * rng.standard_normal(x[0].shape), u[0], DT)
+
+
+def test_the_density_is_the_likelihood_averaged_over_what_is_known(tie: Tie) -> None:
+    """By quadrature over one parameter, the others known."""
+    member, run = tie.members[0], _flown(tie, 1)
+    own, theta = member.posteriors, member.branches[0].theta
+    j = member.vector.labels.index("constant_force.acceleration")
+    std = 0.05
+    known = np.diag(1.0 / np.square(np.where(np.arange(len(theta)) == j, std, 1e-7 * member.vector.scale)))
+    begun = replace(member, branches=(Branch(theta + 0.3 * std * (np.arange(len(theta)) == j), known, 0.0),))
+    (fit,) = fit_all([begun], [run])
+    grid = np.linspace(-5.0, 5.0, 401)
+    values = np.tile(begun.branches[0].theta, (len(grid), 1))
+    values[:, j] += std * grid
+    known = np.zeros((len(theta), len(theta)))
+    log = [here.nats for here in own.at_centres([LogWithPrior((run,), each, known) for each in values])]
+    log = np.array(log) - 0.5 * grid**2 - 0.5 * np.log(2 * np.pi)
+    whole = log.max() + np.log(np.sum(np.exp(log - log.max())) * (grid[1] - grid[0]))
+    assert fit.brought[0] == pytest.approx(whole, abs=0.05)
+
+
+@pytest.mark.parametrize("truth", [0, 1])
+def test_no_rehearsal_speaks_against_what_it_simulates_on_average(tie: Tie, truth: int) -> None:
+    """Of an experiment that tells nothing, too: the last term of the density is what keeps it so."""
+    told = tie.rehearsed(truth, np.zeros((20, 1)), count=8, seed=3)
+    assert told.evidence.mean() > -0.5

@@ -206,25 +206,6 @@ def test_links_to_other_files_are_not_followed(tmp_path: Path) -> None:
         log_files("table", tmp_path / "data")[0].open()
 
 
-def test_topics_of_large_messages_and_of_one_message_are_left_out_and_told(tmp_path: Path) -> None:
-    rosbag1 = pytest.importorskip("rosbags.rosbag1")
-    from rosbags.typesys import Stores, get_typestore
-
-    store = get_typestore(Stores.ROS1_NOETIC)
-    with rosbag1.Writer(tmp_path / "run.bag") as bag:
-        for topic, sizes in {"/once": [8], "/signal": [8] * 3, "/cloud": [8, 8, 2 << 20]}.items():
-            made = bag.add_connection(topic, "std_msgs/msg/String", typestore=store)
-            for k, size in enumerate(sizes):
-                text = store.types["std_msgs/msg/String"](data="x" * size)
-                bag.write(made, 1 + k, store.serialize_ros1(text, "std_msgs/msg/String"))
-        made = bag.add_connection("/value", "std_msgs/msg/Float64", typestore=store)
-        for k in range(3):
-            value = store.types["std_msgs/msg/Float64"](data=float(k))
-            bag.write(made, 1 + k, store.serialize_ros1(value, "std_msgs/msg/Float64"))
-    notes = log_files("rosbag", tmp_path)[0].open().notes
-    assert notes[:2] == ["/cloud: left out (too large)", "/once: left out (fewer than two messages)"]
-
-
 # ---- Betaflight --------------------------------------------------------------------------------------------
 
 

@@ -9,7 +9,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from nsde_torch.data.mapping.apply import apply
-from nsde_torch.data.mapping.checks import checks, lean
+from nsde_torch.data.mapping.checks import checks
 from nsde_torch.data.mapping.mapping import LogMapping, mapping_of, read_mapping
 from nsde_torch.data.raw import RawRun
 from nsde_torch.data.streams import Stream, StreamLog
@@ -205,10 +205,3 @@ def test_a_channel_that_one_log_lacks_is_told_and_left_out(flight: RawRun) -> No
     run = apply(_log(ned_columns(flight)), _mapping(content), QUADROTOR)
     assert "battery_voltage" not in run.extra
     assert [note.message for note in run.notes] == ["no column vbat for the channel 'battery_voltage'"]
-
-
-def test_times_that_no_clock_tells_say_nothing_of_the_lean(flight: RawRun) -> None:
-    t = flight.t.copy()
-    t[-1] = 1e45  # a flipped bit
-    assert lean(t, flight.x[:, 6:10], flight.x[:, :3]) is None
-    assert lean(flight.t, flight.x[:, 6:10], flight.x[:, :3]) is not None

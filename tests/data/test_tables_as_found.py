@@ -10,11 +10,10 @@ from scipy.io import savemat
 import nsde_torch
 from nsde_torch.data import RawRun, write_csv
 from nsde_torch.data.formats.table import open_table
-from nsde_torch.data.mapping.apply import apply
 from nsde_torch.data.mapping.reader import log_files
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.recording import assemble, read
-from tests.helpers.data_systems import HEXACOPTER, MSD, QUADROTOR, multirotor
+from tests.helpers.data_systems import HEXACOPTER, MSD, multirotor
 from tests.helpers.flights import flight
 from tests.helpers.leaning import leaning_flight
 
@@ -182,16 +181,6 @@ def test_an_array_among_others_has_its_clock_in_front_and_what_is_missing_is_lef
     assert not found.usable
 
 
-def test_a_rotor_above_full_is_named_with_full_and_not_called_percent(tmp_path: Path) -> None:
-    run = leaning_flight(12.0)
-    table = {"t": run.t, "p": run.x[:, :3], "v": run.x[:, 3:6], "q": run.x[:, 6:10], "w": run.x[:, 10:]}
-    savemat(tmp_path / "run.mat", {**table, "rotor": 1000.0 * np.sqrt(run.u)})
-    found = nsde_torch.inspect(tmp_path, system="quadrotor", physics=False)
-    assert found.mapping is not None
-    with pytest.raises(DataError, match="`full: 500`"):
-        apply(open_table(tmp_path / "run.mat"), found.mapping.changed("u", full=500.0), QUADROTOR)
-
-
 def test_a_flight_in_a_table_without_names_is_found_by_what_holds_between_columns(tmp_path: Path) -> None:
     run = leaning_flight(12.0)
     x, u = run.x, run.u
@@ -260,14 +249,6 @@ def test_cells_that_say_nothing_are_missing_values(tmp_path: Path, cell: str) ->
     assert data[0].x[20, 0] == pytest.approx(np.sin(0.2), abs=1e-4)
     assert data[0].x[40, 0] == pytest.approx(np.sin(0.4), abs=1e-4)
     assert [f.kind for f in data.summary.findings] == ["missing_values"]
-
-
-def test_dates_are_times_and_words_of_further_columns_are_missing(tmp_path: Path) -> None:
-    rows = [f"2026-11-28 13:59:59.{r[2:4]}0{r[4:]},manual" for r in GOOD]
-    data = read("csv", MSD, path=folder(tmp_path, lines(HEADER + ",mode", rows)))
-    assert data.dt == pytest.approx(0.01)
-    assert len(data[0].t) == len(GOOD)
-    assert [f.kind for f in data.summary.findings] == ["empty_channel"]
 
 
 @pytest.mark.parametrize(

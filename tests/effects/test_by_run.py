@@ -6,9 +6,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from nsde_torch.effects import Effect, Parameter, Port, effect_class, effects_of, key_of
+from nsde_torch.effects import Effect, effect_class, effects_of, key_of
 from nsde_torch.effects.by_run import BY_RUN, MASS, RUN, ByRun, difference_name
-from nsde_torch.systems import Defaults, System, make_system
+from nsde_torch.systems import System, make_system
 from nsde_torch.systems.in_run import difference_on
 from nsde_torch.systems.parameters import ParameterVector
 
@@ -94,28 +94,6 @@ def test_the_vector_of_parameters_works_out_the_same(name: str) -> None:
     other = differing(machine(name), MASS, 0.25, 0.5)
     vector.use(torch.from_numpy(moved))
     assert torch.allclose(vector.system.drift(0.0, x, wide), other.drift(0.0, x, wide), atol=1e-12)
-
-
-class Flat(System):
-    """A machine whose formulas take columns apart, with a number of each parameter for all rows."""
-
-    name = "flat"
-    state_names, state_units, input_names, input_units = ("a", "b"), ("m", "m"), ("u",), ("N",)
-    ports, position_derivatives, residual_ports = {Port.FORCE: 1}, (), {}
-    defaults = Defaults(0.01, 25, (0.01, 0.01), 0.1, 1.0, "euler_maruyama")
-    PARAMETERS = {name: Parameter(1.0, "1/s", low=0.0) for name in ("own", "mixed")}
-
-    def dynamics(self, t: Any, x: Tensor, u: Tensor, forces: Any) -> Tensor:
-        a, b = x.unbind(1)
-        own, mixed = self.value("own"), self.value("mixed")
-        push = u[:, 0] + forces[Port.FORCE][:, 0] if Port.FORCE in forces else u[:, 0]
-        return torch.stack((t * push - own * a + mixed * b, mixed * (a - b)), 1)
-
-
-def flat(own: float) -> System:
-    system = Flat().double()
-    system.set_value("own", own)
-    return system
 
 
 def test_an_effect_that_is_gone_takes_what_differs_in_it_along() -> None:

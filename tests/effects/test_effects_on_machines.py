@@ -28,11 +28,6 @@ class TestTrackTilt(EffectContract):
         tilted = self.machine(values={"track_tilt.slope": 0.02}).drift(0.0, x, u)
         torch.testing.assert_close((tilted - level).detach(), torch.tensor([[0.0, -9.8 * 0.02, 0.0, 0.0]]))
 
-    def test_it_is_not_a_force_on_the_cart(self) -> None:
-        push = {"constant_force.acceleration": -0.2}
-        pushed = make_system("cartpole", effects=["constant_force"], values=push)
-        assert float(pushed.drift(0.0, torch.zeros(1, 4), torch.zeros(1, 1))[0, 3].detach()) > 0.1
-
 
 class TestPositionBias(EffectContract):
     name, system = "position_bias[pole]", "cartpole"

@@ -7,19 +7,14 @@ import torch
 import yaml
 from torch import Tensor
 
-import nsde_torch
 from nsde_torch.effects import Effect, Parameter, Port, files
 from nsde_torch.effects.expression_grammar import in_text, is_law, latex, parse, sympy_text, valued
 from nsde_torch.errors import ConfigError
-from nsde_torch.export.graph import graph_of
 from nsde_torch.rotation import rotate_back
 from nsde_torch.systems import System, make_system
 from nsde_torch.systems.options import system_options
 from nsde_torch.systems.vocabulary import seen_by
-from tests.helpers.exported import small_controller, step_of
-from tests.helpers.hexacopters import declared
 
-__all__ = ["declared"]
 STOP = "force = c1 q q_dot - c2 max(q - k1, 0)"
 TWIST = "body_moment[y] = c1 v_body_x w_z + c2 up_x collective^2"
 
@@ -91,29 +86,6 @@ def test_a_file_holds_laws_and_gives_them_back(tmp_path: Path) -> None:
     path.write_text(yaml.safe_dump(hostile), encoding="utf-8")
     with pytest.raises(ConfigError, match="is not of the grammar"):
         system_options("mass_spring_damper", effects=path).make()
-
-
-@pytest.mark.slow
-def test_a_plant_can_have_a_law_and_a_model_with_it_is_trained_saved_and_evaluated(tmp_path: Path) -> None:
-    law = "force = c1 q q_dot"
-    data = nsde_torch.simulate("mass_spring_damper", effects={law: {"c1": 0.3}}, durations=(6.0,) * 4, seed=3)
-    run = tmp_path / "run"
-    trained = nsde_torch.train(data, system="mass_spring_damper", model="sysid", effects=[law], run_dir=run)
-    value = trained.system.all_declared()[f"{law}.c1"][0]
-    assert float(value) == pytest.approx(0.3, abs=0.02)
-    again = nsde_torch.load(run).system.all_declared()[f"{law}.c1"][0]
-    assert torch.allclose(again, value)
-
-
-@pytest.mark.slow
-def test_a_controller_with_a_law_is_exported_as_it_is(declared: System) -> None:
-    effect = declared.make_effect(TWIST, {"c1": 0.44, "c2": -0.3})
-    system = declared.with_effects(effect.to(next(declared.parameters()).dtype))
-    step = step_of(small_controller(system, particles=2, steps=3), system)
-    for name, example in step.examples().items():
-        graph, plain = graph_of(step.stage(name), example), step.stage(name)(*example)
-        for ours, theirs in zip(graph(*example), plain, strict=True):
-            assert torch.allclose(ours, theirs, rtol=1e-9, atol=1e-9, equal_nan=True), name
 
 
 SPRING, HEXA = "mass_spring_damper", "hexacopter"
@@ -199,23 +171,6 @@ def test_what_does_not_fit_the_machine_is_refused_and_what_there_is_is_listed(
 ) -> None:
     with pytest.raises(ConfigError, match=says):
         make_system(system, effects=[text])
-
-
-def test_a_coefficient_that_is_a_variable_of_the_machine_is_refused() -> None:
-    plain = make_system("mass_spring_damper")
-
-    class Named(System):
-        name = "named"
-        state_names, state_units = ("c1", "c1_dot"), ("m", "m/s")
-        input_names, input_units = ("force",), ("N",)
-        ports, residual_ports, defaults = plain.ports, plain.residual_ports, plain.defaults
-
-        def dynamics(self, t, x, u, forces):  # type: ignore[no-untyped-def]
-            return x
-
-    words = "'c1' is a variable of system 'named'; name the coefficient otherwise"
-    with pytest.raises(ConfigError, match=words):
-        Named.effect_class("force = c1 c1_dot")
 
 
 def test_coefficients_have_the_units_that_the_port_asks_for() -> None:

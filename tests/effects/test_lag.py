@@ -39,13 +39,6 @@ class TestMotorLag(EffectContract):
         expected = before + (after - before) * (1 - np.exp(-t / tau))
         np.testing.assert_allclose(motors, np.tile(expected[:, None], (1, 6)), atol=2e-6)
 
-    def test_the_motors_not_the_commands_lift(self) -> None:
-        s = self.machine(values={"thrust_gain": 5.0})
-        x = flying([0.0, 0.0, 0.0])
-        z = torch.cat((x, torch.full((1, 6), 0.1)), 1)
-        lift = float(s.drift(0.0, z, torch.ones(1, 6))[0, 5].detach()) + 9.81
-        assert lift == pytest.approx(5.0 * 0.6, rel=1e-5)
-
     def test_a_constant_command_flies_as_without_lag(self) -> None:
         x, u, _ = self.rows(3)
         u = u[:, None].expand(3, 50, 6)
@@ -53,19 +46,9 @@ class TestMotorLag(EffectContract):
         plain = solve(make_system("hexacopter").double(), x, u, 0.01)
         torch.testing.assert_close(lagging, plain)
 
-    def test_a_quadrotor_has_four_of_it(self) -> None:
-        s = make_system("quadrotor", effects=["motor_lag"])
-        assert s.nz == 13 + 4
-
 
 class TestActuatorLag(EffectContract):
     name, system, memory = "actuator_lag", "cartpole", 1
-
-    def test_it_follows_a_step_exponentially(self) -> None:
-        effect = self.make({"time_constant": 0.5}).double()
-        m = torch.tensor([[2.0]], dtype=torch.float64)
-        rate = effect.memory_rate(0.0, torch.zeros(1, 4), torch.tensor([[5.0]]), m)
-        torch.testing.assert_close(rate.detach(), torch.tensor([[6.0]], dtype=torch.float64))
 
     def test_multirotors_have_motor_lag_instead(self) -> None:
         with pytest.raises(ConfigError, match="motor_lag"):
@@ -86,21 +69,6 @@ class TestAsymmetricLag(EffectContract):
                 z = _rk4(s, z, torch.full((1, 4), after, dtype=torch.float64), 0.005)
             expected = after + (before - after) * np.exp(-0.1 / tau)
             np.testing.assert_allclose(z[:, 13:].numpy(), expected, atol=1e-6)
-
-    @torch.no_grad()
-    def test_with_one_time_constant_it_is_the_lag_of_the_motors(self) -> None:
-        x, u, memory = self.rows(50)
-        both, one = (
-            self.make({"rising": 0.06, "falling": 0.06}),
-            make_system(self.system).make_effect("motor_lag"),
-        )
-        one.set_value("time_constant", 0.06)
-        for effect in (both.double(), one.double()):
-            effect.step = 0.01
-        for name in ("forward", "memory_rate"):
-            ours, theirs = (getattr(e, name)(0.0, x, u, memory) for e in (both, one))
-            torch.testing.assert_close(ours, theirs)
-        torch.testing.assert_close(both.held(u, 0.01), one.held(u, 0.01))
 
 
 class TestActuatorRateLimit(EffectContract):

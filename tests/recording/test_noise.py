@@ -149,9 +149,6 @@ def test_speeds_come_back_as_the_commands_they_were_made_of() -> None:
         fault.undo_raw(run, HEXACOPTER, {"u": 0.0})
 
 
-# ---- steps that values come in -----------------------------------------------------------------------------
-
-
 # ---- lines between every few rows --------------------------------------------------------------------------
 
 

@@ -91,14 +91,6 @@ def test_constant_held_short_and_exogenous_columns_show_no_average(u: Array, inp
     assert smoothing_width([run(u)], inputs) == 0.0
 
 
-@pytest.mark.slow
-def test_simulated_flights_were_not_averaged() -> None:
-    from nsde_torch.simulation import simulated
-
-    data = simulated("hexacopter", durations=[10.0])
-    assert smoothing_width(list(data.runs), 6) == 0.0
-
-
 def test_published_flights_were_averaged_over_four_tenths_of_a_second(published: Path) -> None:
     data = read("published", make_system("hexacopter"), path=str(published / "hexacopter" / "trajs.pkl"))
     assert smoothing_width(list(data.runs), 6) == pytest.approx(0.4, abs=1.01 * DT)

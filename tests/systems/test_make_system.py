@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import torch
 
-from nsde_torch.effects import Port
 from nsde_torch.effects.multirotor_forces import LinearDrag
 from nsde_torch.errors import ConfigError, ShapeError
 from nsde_torch.systems import SYSTEMS, make_system, system_class
@@ -44,15 +43,6 @@ def test_effects_on_one_port_add_up() -> None:
         for made in ({"effects": friction}, {"declared": [], "effects": friction}, {})
     )
     torch.testing.assert_close(both, alone + plain)
-
-
-def test_an_effect_and_a_residual_on_one_port_add_up() -> None:
-    s = make_system("mass_spring_damper")
-    x, u = torch.tensor([[0.3, 0.7]]), torch.zeros(1, 1)
-    residual = {Port.FORCE: torch.tensor([[2.0]])}
-    torch.testing.assert_close(s.drift(0.0, x, u, residual), s.drift(0.0, x, u) + torch.tensor([[0.0, 2.0]]))
-    assert list(residual) == [Port.FORCE]
-    torch.testing.assert_close(residual[Port.FORCE], torch.tensor([[2.0]]))  # not written into
 
 
 @pytest.mark.parametrize(

@@ -75,12 +75,6 @@ def test_what_pushes_all_the_time_is_learned_on_the_ports_of_the_machine() -> No
     assert off[1] < 0.2 * off[0]
 
 
-def test_machine_code_does_what_torch_does() -> None:
-    still = setpoint(make_system("cartpole"), {"x": 0.5}, duration=0.2)
-    ends = [followed(still, start={"theta": 0.3}, compiled=way).x[-1] for way in ("on", "off")]
-    assert torch.allclose(*ends, atol=2e-4)
-
-
 def test_a_course_is_read_from_columns_of_states_with_the_velocities_of_its_positions(tmp_path: Path) -> None:
     file = tmp_path / "arm.csv"
     rows = [f"{0.1 * k:.2f},{math.sin(0.1 * k):.6f}" for k in range(31)]
@@ -202,6 +196,9 @@ def test_limits_of_a_machine_are_one_pair_or_one_for_each_input(limits: Any) -> 
         ({"input_centre": ()}, "`input_centre` takes a number"),
         ({"input_weight": (1.0, 0.0)}, "must be above 0"),
         ({"input_weight": (1.0, -1.0)}, "`input_weight` must be at least 0"),
+        ({"rate_weight": -1.0}, "rate_weight"),
+        ({"steps": 0}, "steps"),
+        ({"horizon": 0.0}, "horizon"),
     ],
 )
 def test_what_is_no_limit_or_weight_is_refused(given: dict[str, Any], says: str) -> None:

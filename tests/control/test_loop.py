@@ -1,6 +1,5 @@
-"""Closed loops: tracking, latency, pushes, weak motors, lost machines."""
+"""Closed loops: tracking, latency, pushes, lost machines."""
 
-import math
 from collections.abc import Callable
 from typing import Any
 
@@ -79,29 +78,6 @@ def test_a_push_that_lasts_is_learned_in_flight(declared: System) -> None:
     off = [abs(float(f.x[-1, 0, 2]) - 1.5) for f in (without, learned)]
     assert off[0] > 0.01
     assert off[1] < 0.4 * off[0]
-
-
-@pytest.mark.slow
-def test_one_motor_at_seventy_percent_is_flown_with(declared: System) -> None:
-    weak = [{"motor_efficiency_loss": {"loss": [0.3, *[1e-6] * 5]}}]
-    learned = {"force_time": 0.3, "moment_time": 0.2}
-    flight = _flight(declared, effects=weak, estimator=learned, duration=3.0)
-    assert bool(torch.isfinite(flight.x).all())
-    assert 0.0 <= float(flight.u.min()) <= float(flight.u.max()) <= 1.0
-    assert _rmse(flight) < 0.15
-    assert math.isinf(float(flight.lost[0]))
-
-
-@pytest.mark.slow
-def test_states_that_are_lost_on_their_way_for_a_while_do_not_lose_the_machine(declared: System) -> None:
-    def gap(t: float, x: torch.Tensor) -> torch.Tensor:
-        return torch.full_like(x, float("nan")) if 0.8 <= t < 1.1 else x
-
-    flight = _flight(declared, fault=gap)
-    words = {d.status[0] for d in flight.decisions}
-    assert "bad_state:kept" in words
-    assert bool(torch.isfinite(flight.u).all())
-    assert _rmse(flight) < 0.1
 
 
 def test_the_cascade_flies_the_same_references(declared: System) -> None:

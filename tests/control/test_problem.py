@@ -106,15 +106,6 @@ def test_another_machine_needs_weights_of_its_own_and_has_no_limits_of_a_flight(
         Residual(predictor, ProblemOptions(state_weights=(1.0,) * 4, fence=((-1.0, 1.0),)))
 
 
-@pytest.mark.parametrize(
-    "options",
-    [{"steps": 0}, {"horizon": 0.0}, {"low": 1.0, "high": 0.0}, {"input_weight": 0.0}, {"rate_weight": -1.0}],
-)
-def test_problems_that_are_none_are_refused(options: dict[str, float]) -> None:
-    with pytest.raises(ConfigError):
-        ProblemOptions(**options)  # type: ignore[arg-type]
-
-
 def _rows(n: int) -> tuple[torch.Tensor, torch.Tensor]:
     g = torch.Generator().manual_seed(1)
     x = torch.randn(n, 13, generator=g, dtype=torch.float64)

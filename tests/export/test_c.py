@@ -320,19 +320,6 @@ def test_whatever_it_is_given_an_answer_is_finite_and_within_bounds(file: Path, 
 
 @needs_compiler
 @pytest.mark.slow
-@pytest.mark.parametrize("which", ["declared", "model"])
-def test_200_states_of_the_whole_controller_are_those_of_python(
-    which: str, path: Reference, tmp_path: Path, request: pytest.FixtureRequest
-) -> None:
-    known = request.getfixturevalue(which)
-    out = _compared(known, tmp_path, path, 200, horizon=1.0, steps=20)
-    assert out.worst < 1e-5
-    assert out.cost_ratio < 1e-9
-    assert not out.differing
-
-
-@needs_compiler
-@pytest.mark.slow
 def test_the_process_around_it_is_small(
     declared: System, path: Reference, tmp_path: Path, root: Path
 ) -> None:

@@ -1,5 +1,6 @@
 """Files of controllers: the same bytes for the same controller, the same plans as the controller, and refusals."""
 
+import itertools
 import json
 import os
 import subprocess
@@ -16,9 +17,13 @@ from nsde_torch.control.solve import SolverOptions
 from nsde_torch.errors import ConfigError, ExportError
 from nsde_torch.export import container, verify
 from nsde_torch.export.exported import ExportedController
+from nsde_torch.export.graph import graph_of
+from nsde_torch.export.step import STAGES, STATUS, WHOLE, ExportedStep, Stage, packed, run
 from nsde_torch.export.write import controller_of, export
 from nsde_torch.models import NeuralSDE
 from nsde_torch.models.run_directory import save
+from nsde_torch.systems import System
+from tests.helpers.exported import all_kinds, flight, small_controller, step_of, word_of
 
 OPTIONS = {
     "problem": ProblemOptions(horizon=0.3, steps=6),
@@ -161,3 +166,49 @@ def test_what_a_file_cannot_hold_is_refused(model: NeuralSDE, run_dir: Path, tmp
     with pytest.raises(ConfigError, match="torchscript, aoti or c"):
         _export(model, run_dir, out, kind="onnx")
     assert not out.exists()
+
+
+def _stages(step: ExportedStep) -> dict[str, Stage]:
+    return {name: step.stage(name) for name in STAGES}
+
+
+@pytest.mark.slow
+def test_sample_after_sample_graphs_of_the_step_do_what_the_controller_does(
+    model: NeuralSDE, path: Reference
+) -> None:
+    controller = small_controller(model)
+    step = step_of(controller, model)
+    stages = {name: graph_of(step.stage(name), e) for name, e in step.examples().items()}
+    words = set()
+    for arguments, plan in flight(controller, path):
+        out = run(stages, step.loops, *arguments)
+        words.add(word_of(out, plan, most=1e-9))
+        known = packed(plan, float(controller._jumped[0]), float(controller._solves))
+        assert torch.allclose(out[9], known, atol=1e-8, equal_nan=True)
+    assert all_kinds(words)
+
+
+def test_the_rollout_as_one_stage_or_step_by_step_makes_the_same_plans(
+    declared: System, path: Reference
+) -> None:
+    controller = small_controller(declared, particles=2)
+    step = step_of(controller, declared)
+    whole = {name: step.stage(name) for name in WHOLE}
+    assert set(step.examples(WHOLE)) == set(WHOLE)
+    for arguments, _ in itertools.islice(flight(controller, path), 6):
+        one, other = run(whole, step.loops, *arguments), run(_stages(step), step.loops, *arguments)
+        assert all(torch.equal(a, b) for a, b in zip(one, other, strict=True))
+
+
+def test_a_state_that_is_not_valid_is_bad_whatever_it_says(declared: System) -> None:
+    step = step_of(small_controller(declared), declared)
+    arguments = step.first()
+    arguments[1] = torch.zeros((), dtype=torch.float64)
+    out = run(_stages(step), step.loops, *arguments)
+    assert STATUS[int(out[7])] == "bad_state:hover"
+    assert all(bool(torch.isfinite(out[k]).all()) for k in (0, 1, 2, 3, 4))
+
+
+def test_what_cannot_be_exported_is_refused(declared: System) -> None:
+    with pytest.raises(ConfigError, match="gauss_newton"):
+        step_of(small_controller(declared, solver="apg"), declared)

@@ -15,7 +15,7 @@ from nsde_torch.px4.flight.safety import Phase, contradicted
 from nsde_torch.px4.link.dialect import mavlink
 from nsde_torch.px4.link.telemetry import EstimateQuality
 from nsde_torch.px4.link.vectors import yaw_of
-from nsde_torch.px4.options import FlightOptions, Limits, SensorErrors
+from nsde_torch.px4.options import FlightOptions, Limits
 from nsde_torch.recording import read
 from nsde_torch.systems import make_system
 from tests.helpers.px4_world import World, under_way
@@ -95,28 +95,6 @@ def test_a_wrong_heading_is_flown_with_or_landed_on(heading: float, flown_on: bo
     assert world.safe, world.says
     assert world.flight.outcome.tracked == flown_on, world.says
     assert flown_on or world.flight.outcome.trouble is not None
-
-
-def test_an_error_that_all_sensors_share_is_not_seen() -> None:
-    """A receiver that drifts by 0.8 m in four seconds: documented as unseen, and the flight ends that far off."""
-
-    def drift(world: World) -> None:
-        if world.phase is Phase.TRACK:
-            world.vehicle.estimator.offset = (0.2 * world.flight._elapsed, 0.0, 0.0)
-
-    world = World(path=HOVER).run(drift)
-    assert world.flight.outcome.tracked, world.says
-    assert world.errors[-1] == pytest.approx(0.8, abs=0.15)
-    assert world.safe
-
-
-@pytest.mark.slow
-def test_on_an_estimate_as_poor_as_of_sih_a_flight_goes_to_its_end() -> None:
-    """The truth is off by that error, which neither PX4's estimator nor this program can see."""
-    errors = SensorErrors(estimate=(0.2, 0.12, 0.45))
-    world = World(path=PathPoints(shapes.circle(duration=16.0)), errors=errors).run()
-    assert world.flown, world.says
-    assert 0.2 < world.rmse < 1.0
 
 
 HIGH = PathPoints(shapes.hover(duration=2.5, height=1.5))

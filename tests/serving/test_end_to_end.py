@@ -70,7 +70,7 @@ def test_what_is_found_and_the_command_that_repeats_it(
 @pytest.mark.parametrize("suffix", [".csv", ".npz", ".mat", ".bin", ".ulg", ".txt"])
 @pytest.mark.parametrize(
     "content",
-    [b"\x00" * 3000, b"no log at all\n" * 50, bytes(range(256)) * 9, b"<script>alert(1)</script>\n" * 9],
+    [bytes(range(256)) * 9, b"<script>alert(1)</script>\n" * 9],
 )
 def test_what_is_no_log_under_a_log_s_name_is_one_sentence(real: Page, suffix: str, content: bytes) -> None:
     job = real.drop({f"run{suffix}": content}, "quadrotor")

@@ -42,15 +42,6 @@ def test_from_drop_to_report(page: Page, played: Played) -> None:
     assert "attachment" in saved.headers["Content-Disposition"]
 
 
-def test_the_command_that_repeats_it_is_the_one_that_ran(page: Page, played: Played) -> None:
-    job = page.drop(CSV)
-    done = _finish(page, played, job["id"])
-    words = played.words[-1]
-    assert words[-1] == f"out_dir={page.folder / job['id'] / 'result'}"
-    assert done["repeat"] == f"nsde {' '.join(words[:-1])}"
-    assert f"data.path={page.folder / job['id'] / 'logs'}" in words
-
-
 def test_stopping_keeps_the_logs_and_starting_again_works(page: Page, played: Played) -> None:
     job = page.drop(CSV)
     page.ask("POST", f"/api/jobs/{job['id']}/diagnose", {})

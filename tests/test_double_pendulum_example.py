@@ -76,19 +76,3 @@ def test_the_effects_of_the_machine_are_listed(root: Path, capsys: pytest.Captur
     printed = capsys.readouterr().out
     assert "coulomb_friction[q1]" in printed
     assert "damping [N m s/rad]" in printed.replace("\n", " ")
-
-
-@pytest.mark.slow
-def test_an_effect_of_one_joint_is_trained_from_the_command_line(root: Path, tmp_path: Path) -> None:
-    folder = root / "examples" / "double_pendulum"
-    data = logs(tmp_path / "data", (0.1, 0.05), (0.0, 0.0))
-    words = [
-        "train", "--config-dir", str(folder), "system=double_pendulum", "data=csv", f"data.path={data}",
-        "model=sysid", "system.effects=[coulomb_friction[q1],coulomb_friction[q2]]",
-        "system.parameters.coulomb_friction[q2].size=0.04", f"run_dir={tmp_path / 'out'}", "threads=1",
-    ]  # fmt: skip
-    assert main(words) == 0
-    model = nsde_torch.load(tmp_path / "out")
-    values = {k: float(v) for k, (v, _) in model.system.all_declared().items()}
-    assert values["coulomb_friction[q1].size"] == pytest.approx(0.1, rel=0.1)
-    assert values["coulomb_friction[q2].size"] == pytest.approx(0.05, rel=0.1)

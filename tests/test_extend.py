@@ -168,15 +168,6 @@ def test_an_effect_is_fitted_where_it_is_declared(held: Simulation, tmp_path: Pa
     assert repr(loaded.step) == "Ralston()"
 
 
-@pytest.mark.slow
-def test_an_effect_is_found_where_it_is_a_candidate(held: Simulation) -> None:
-    found = nsde_torch.diagnose(
-        held, system=RAIL, effects=["coulomb_friction"], candidates=["quadratic_damping"], also=[DETENT]
-    )
-    assert found.added == ["detent"]
-    assert found.parameters["detent.size"]["value"] == pytest.approx(0.8, rel=0.05)
-
-
 def test_a_system_has_ports_of_its_own() -> None:
     rail: Any = type(make_system(RAIL))
     tail = Port("tail_force")

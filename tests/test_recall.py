@@ -1,5 +1,6 @@
 """What jobs of a sweep share: worked out once, and never changed by one of them for another."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -34,39 +35,32 @@ def test_a_training_after_another_seed_gives_the_same_numbers(
 ) -> None:
     from nsde_torch.training import fit_innovations
 
-    identifications: list[int] = []  # of all training runs, and without each of them
-    identified = fit_innovations.identified
+    counts = dict.fromkeys(("identified", "fit_distance"), 0)
 
-    def counted(*args: Any, **options: Any) -> Any:
-        identifications.append(1)
-        return identified(*args, **options)
+    def counting(name: str) -> Callable[..., Any]:
+        real = getattr(fit_innovations, name)
 
-    distances: list[int] = []
-    fit_distance = fit_innovations.fit_distance
+        def counted(*args: Any, **how: Any) -> Any:
+            counts[name] += 1
+            return real(*args, **how)
 
-    def fitted(*args: Any, **options: Any) -> None:
-        distances.append(1)
-        fit_distance(*args, **options)
+        return counted
 
-    monkeypatch.setattr(fit_innovations, "identified", counted)
-    monkeypatch.setattr(fit_innovations, "fit_distance", fitted)
-    data = nsde_torch.simulate(
-        "mass_spring_damper", durations=[3.0] * 3, seed=1, effects=["quadratic_damping"]
-    )
+    for name in counts:
+        monkeypatch.setattr(fit_innovations, name, counting(name))
+    system = "mass_spring_damper"
+    data = nsde_torch.simulate(system, durations=[3.0] * 3, seed=1, effects=["quadratic_damping"])
 
     def metrics(seed: int, name: str) -> dict[str, Any]:
         made = nsde_torch.train(
-            data, system="mass_spring_damper", trainer="fast", seed=seed, run_dir=tmp_path / name, say=False
+            data, system=system, trainer="fast", seed=seed, run_dir=tmp_path / name, say=False
         )
         return {k: v for k, v in made.metrics.items() if k != "seconds"}
 
     alone = metrics(1, "alone")
-    assert alone["calibration"]["left_out"]
-    count = len(identifications)
     with remembering():
         metrics(0, "first")
-        assert len(identifications) == 2 * count
-        assert len(distances) == 2 * 3
+        assert counts == {"identified": (count := counts["identified"]), "fit_distance": 2 * 3}
         assert metrics(1, "second") == alone
-        assert len(distances) == 2 * 3 + 1, "fits without a run were made again"
-        assert len(identifications) == 2 * count, "what does not depend on the seed was worked out again"
+    # fits without a run, and what does not depend on the seed, are not made again
+    assert counts == {"identified": count, "fit_distance": 2 * 3 + 1}

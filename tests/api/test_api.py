@@ -23,7 +23,6 @@ from nsde_torch.evaluation.comparison import Comparison
 from nsde_torch.models import Model, SDESpec, make_model
 from nsde_torch.systems import MassSpringDamper
 from nsde_torch.training import TrainerOptions, options
-from tests.helpers.leaning import leaning_flight
 
 SYSTEM = "mass_spring_damper"
 QUICK = {"steps": 3, "polish": 1, "validate_every": 2, "batch": 16, "compile": "off", "calibrate": False}
@@ -127,24 +126,6 @@ def test_a_training_and_an_evaluation_say_nothing_where_they_are_asked_to(
     assert "scoring" in capsys.readouterr().out
 
 
-@pytest.mark.slow
-def test_evaluation_compares_models_by_their_names(runs: Path, tmp_path: Path) -> None:
-    plain = nsde_torch.train(runs, system=SYSTEM, model="sysid", say=silent)
-    better = nsde_torch.train(runs, system=SYSTEM, model="sysid", effects="coulomb_friction", say=silent)
-    scores = nsde_torch.evaluate({"plain": plain, "better": better}, runs, runs=["run_2"], particles=2)
-    assert [m["name"] for m in scores.content["models"]] == ["plain", "better"]
-    assert scores.content["models"][0]["held_out"]
-    assert scores.errors["position"]["0.5"] > scores.content["models"][1]["errors"]["position"]["0.5"]
-    assert "better" in scores.report
-    assert {file.name for file in scores.save(tmp_path / "out")} >= {"evaluation.json", "errors.png"}
-    with pytest.raises(ConfigError, match="names"):
-        nsde_torch.evaluate([plain, better], runs)
-    with pytest.raises(ConfigError, match="sensor_noise"):
-        nsde_torch.evaluate(plain, runs, sensor_noise="tets")
-    with pytest.raises(ConfigError, match="no model"):
-        nsde_torch.evaluate([], runs)
-
-
 def test_data_come_from_folders_simulations_and_arrays(runs: Path) -> None:
     from_files = nsde_torch.read(runs, system=SYSTEM)
     arrays = [RawRun(r.name, r.t, r.x, r.u) for r in from_files.runs]
@@ -171,12 +152,6 @@ def test_data_come_from_folders_simulations_and_arrays(runs: Path) -> None:
 def test_a_wrong_choice_is_named(given: dict[str, Any], named: str, runs: Path) -> None:
     with pytest.raises(ConfigError, match=named):
         nsde_torch.train(runs, system=SYSTEM, say=silent, **given)
-
-
-def test_options_out_of_range_are_named() -> None:
-    with pytest.raises(ConfigError, match=r"`trainer\.steps` must be at least 1; got 0"):
-        TrainerOptions(steps=0)
-    assert "largest number of gradient steps [steps] (at least 1)" in str(TrainerOptions.__doc__)
 
 
 def test_a_system_of_ones_own_is_given_as_a_class(runs: Path) -> None:
@@ -230,16 +205,6 @@ def test_a_training_names_a_folder_that_it_wrote_and_no_other(kept: bool, runs: 
 def test_a_candidate_that_cannot_be_one_is_refused_before_anything_is_read(candidate: str, why: str) -> None:
     with pytest.raises(ConfigError, match=why):
         nsde_torch.diagnose("nowhere", system=SYSTEM, candidates=[candidate])
-
-
-@pytest.mark.slow
-def test_a_candidate_whose_channel_is_not_logged_is_refused_before_any_work() -> None:
-    def work(*step: Any) -> None:
-        raise AssertionError(step)
-
-    given: dict[str, Any] = {"system": "quadrotor", "candidates": ["battery_voltage"], "say": work}
-    with pytest.raises(ConfigError, match="'battery_voltage', which 'quadrotor' cannot have"):
-        nsde_torch.diagnose([leaning_flight(6.0)], **given)
 
 
 def test_a_training_that_is_stopped_once_the_model_is_fitted_returns_it(

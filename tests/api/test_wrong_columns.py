@@ -303,21 +303,6 @@ def test_the_one_angle_and_the_one_place_of_a_cart_are_found_beside_their_setpoi
     assert sources == {name: (column,) for name, column in told.items()}
 
 
-def renamed(columns: Columns, **stems: str) -> Columns:
-    """Columns of a flight with other stems."""
-    return {"_".join((stems.get(k[0], k[0]), k[2:])) if k[1:2] == "_" else k: v for k, v in columns.items()}
-
-
-@pytest.mark.parametrize("stem", ["p_d", "pos_sp", "p_des", "target_pos", "pos_ref", "position_cmd"])
-def test_setpoints_of_a_flight_are_not_its_states(tmp_path: Path, stem: str) -> None:
-    sound = flight()
-    asked_for = {f"{stem}_{a}": sound[f"p_{a}"] + 0.01 * sound["t"] for a in "xyz"}
-    found, _ = asked(tmp_path, {"t": sound["t"], **asked_for, **renamed(sound, p="pos", v="vel")}, QUAD)
-    assert found.mapping is not None
-    assert found.mapping.columns["p"].source == ("pos_x", "pos_y", "pos_z")
-    assert not any(stem in one for one in found.open)
-
-
 @pytest.mark.parametrize(
     ("name", "low", "high", "expected"),
     [

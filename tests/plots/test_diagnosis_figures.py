@@ -9,10 +9,7 @@ from nsde_torch.plots import save
 from nsde_torch.plots.diagnosis import (
     Cloud,
     Panel,
-    ResidualSpectrum,
-    before_after,
     errors_before_after,
-    residual_spectra,
     residual_views,
 )
 
@@ -55,28 +52,3 @@ def test_errors_stand_at_their_horizons_with_the_interval_of_the_difference() ->
     (bars,) = ax.containers
     segments = [s[:, 1].tolist() for s in bars.lines[2][0].get_segments()]
     assert segments == [pytest.approx([0.08, 0.12]), pytest.approx([0.05, 0.15])]
-
-
-def test_ratios_and_gains_of_runs_left_out_stand_beside_each_other_with_their_intervals() -> None:
-    figure = before_after(
-        {"v_x": (0.8, 0.7, 0.9), "w_z": (1.0, None, None)},
-        {"v_x": (50.0, 30.0, 70.0), "w_z": (-1.0, None, None)},
-        title="runs left out",
-    )
-    left, right = figure.axes
-    assert "after / before" in left.get_xlabel()
-    assert "log-likelihood [nat]" in right.get_xlabel()
-    assert [text.get_text() for text in left.get_yticklabels()] == ["v_x", "w_z"]
-    (bars,) = right.containers
-    segments = [s[:, 0].tolist() for s in bars.lines[2][0].get_segments()]
-    assert segments == [[30.0, 70.0], [-1.0, -1.0]]
-
-
-def test_spectra_are_drawn_with_a_dashed_floor() -> None:
-    f = np.linspace(0.5, 50, 100)
-    curves = {"before": 2 / f, "after": 1 / f, "floor": 0.01 * f}
-    figure = residual_spectra([ResidualSpectrum("w_x", "rad/s2", f, curves)], title="spectra")
-    (ax,) = figure.axes
-    assert [line.get_label() for line in ax.lines] == ["before", "after", "floor"]
-    assert ax.lines[2].get_linestyle() == "--"
-    assert ax.get_xscale() == ax.get_yscale() == "log"

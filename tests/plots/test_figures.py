@@ -15,15 +15,12 @@ from numpy.typing import NDArray
 from nsde_torch import plots
 from nsde_torch.errors import ShapeError
 from nsde_torch.plots import (
-    DistanceSlice,
     calibration_curve,
     data_summary,
-    distance_map,
     horizon_errors,
     learning_curves,
     rollout_bands,
     save,
-    slice_grid,
 )
 from nsde_torch.plots.data_figure import roll_pitch_yaw
 from nsde_torch.plots.evaluation import policy_rewards
@@ -155,25 +152,6 @@ def test_errors_have_a_panel_a_group_and_name_the_baselines(tmp_path: Path) -> N
     assert [tick.get_text() for tick in first.get_xticklabels()] == ["0.1", "0.5", "1"]
 
 
-# ---- distance -----------------------------------------------------------------------------------------
-
-
-def test_a_distance_map_shows_both_kinds_of_data(tmp_path: Path) -> None:
-    rng = np.random.default_rng(0)
-    features = rng.normal(size=(5000, 3))
-    slices = []
-    for pair in ((0, 1), (1, 2)):
-        points, x, y = slice_grid(features, pair, size=30)
-        eta = 1 - np.exp(-(points**2).sum(1) / 20)
-        shown = (features[:, pair], rng.normal(size=(40, 2)))
-        slices.append(DistanceSlice(x, y, eta.reshape(30, 30), "v_x [m/s]", "w_x [rad/s]", *shown))
-    figure = distance_map(slices)
-    assert_sound(figure, tmp_path / "a.png")
-    assert len(panels(figure)) == 2
-    assert {"training", "held out"} <= {c.get_label() for c in panels(figure)[0].collections}
-    assert any("η" in ax.get_ylabel() for ax in figure.axes if ax.get_label() == "<colorbar>")
-
-
 # ---- data ---------------------------------------------------------------------------------------------
 
 
@@ -257,15 +235,6 @@ GROUPS = ["position", "velocity"]
 def calibration(models: list[str]) -> object:
     share, later = ({m: dict.fromkeys(GROUPS, values) for m in models} for values in (LEVELS, [0.9, 0.8]))
     return plots.calibration_of_models(LEVELS, share, horizons=HORIZONS, per_horizon=later)
-
-
-def test_calibration_has_a_curve_for_each_model_in_the_panels_of_each_group(tmp_path: Path) -> None:
-    figure = calibration(["a", "b", "c"])
-    assert len(figure.axes) == 4
-    for ax in figure.axes:
-        assert len(ax.lines) == 3 + 1  # the diagonal, or the level
-    assert {t.get_text() for t in figure.legends[0].get_texts()} == {"ideal", "a", "b", "c"}
-    assert plots.save(figure, tmp_path / "c.png").stat().st_size > 5000
 
 
 def test_a_warning_and_the_names_it_is_about_are_red() -> None:

@@ -6,14 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from torch import Tensor
 
 from nsde_benchmarks.paper.cartpole import state_evolution, uncertainty_map
 from nsde_benchmarks.paper.policies import learned_in
-from nsde_benchmarks.paper.spring import state_evolution as evolution_of_the_spring
 from nsde_torch.data import Run
-from nsde_torch.errors import DataError, NonFiniteError
-from nsde_torch.models import Model, NeuralSDE, SDESpec
+from nsde_torch.errors import DataError
+from nsde_torch.models import NeuralSDE, SDESpec
 
 
 def episodes(count: int, seed: int) -> list[Run]:
@@ -68,43 +66,3 @@ def test_the_evolution_compares_both_models_on_the_same_episodes() -> None:
 def test_a_folder_without_a_study_is_refused(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"bench_policy\.py"):
         learned_in(tmp_path, ("nsde",), title="policies", source="a claim")
-
-
-def spring(*, damping: float, step: str = "euler_maruyama", sigma: float = 0.003) -> NeuralSDE:
-    """The supplement's spring with another damping, without residuals."""
-    spec = SDESpec("mass_spring_damper", dt=0.01, horizon=50, step=step)
-    values = {"viscous_friction.damping": damping, "linear_spring.stiffness": 1.0}
-    model = NeuralSDE(spec, generator=torch.Generator().manual_seed(0), values=values)
-    with torch.no_grad():
-        for network in model.residuals.parameters():
-            network.zero_()
-        model.h.log_sigma_max.fill_(torch.tensor(sigma).log())
-    return model
-
-
-def ode(damping: float) -> NeuralSDE:
-    return spring(damping=damping, step="rk4")
-
-
-class Lost(NeuralSDE):
-    """A model that leaves the finite numbers after 0.3 s."""
-
-    def sample(self, x0: Tensor, u: Tensor, **options: object) -> Tensor:
-        if u.shape[1] > 30:
-            raise NonFiniteError("lost")
-        return super().sample(x0, u, **options)  # type: ignore[arg-type]
-
-
-def lost() -> Model:
-    spec = SDESpec("mass_spring_damper", dt=0.01, horizon=50, step="euler_maruyama")
-    return Lost(spec, generator=torch.Generator().manual_seed(0))
-
-
-@pytest.mark.slow
-def test_a_right_sde_passes_every_check_beside_a_wrong_ode_and_a_lost_ensemble() -> None:
-    models = {"sde": [spring(damping=0.5)], "ode": [ode(0.9)], "ensemble": [lost()]}
-    outcome = evolution_of_the_spring(models, title="spring", seed=0)
-    assert [check.passed for check in outcome.checks] == [True, True, True]
-    assert "0.3 s" in outcome.checks[2].measured
-    assert outcome.passed
-    assert set(outcome.figures) == {"evolution"}

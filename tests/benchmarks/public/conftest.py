@@ -1,6 +1,5 @@
 """Tiny files in the layouts of the public sets, made by steppers of their own; no public data."""
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -129,46 +128,4 @@ def nanobench_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for seed, name in enumerate(FLIGHTS[:3]):
         path = folder / f"{name}.csv"
         np.savetxt(path, flight_on_a_battery(seed), delimiter=",", header=",".join(COLUMNS), comments="")
-    return folder
-
-
-def servo_log(seed: int, *, kp: int, rows: int = 100) -> dict[str, object]:
-    """A recording in the layout of the servo's set, by steps of dt / 10; its goals arrive 30 ms late."""
-    rng = np.random.default_rng(seed)
-    mass, length, dt, late = 0.5 + 0.1 * (seed % 4), 0.1, 0.005, 6
-    t = dt * np.arange(rows)
-    goal = 0.8 * np.sin(3.0 * t**2 + seed) + 0.4 * np.sin(9.0 * t) - 0.8 * np.sin(seed)
-    angle = speed = 0.0
-    entries = []
-    inertia = (mass + 0.036 / 3) * length**2 + 0.01
-    for k in range(rows):
-        on = k < 75 or seed % 2 == 0
-        row = {"position": angle + 1e-4 * rng.standard_normal(), "speed": speed, "goal_position": goal[k]}
-        entries.append({**row, "torque_enable": on, "timestamp": t[k]})
-        for _ in range(10):
-            duty = np.clip(0.16383 * kp * (goal[max(k - late, 0)] - angle), -0.97, 0.97)
-            motor = on * 8.0 * (duty - 0.15 * speed)
-            weight = -(mass + 0.018) * 9.80665 * length * np.sin(angle)
-            speed += 0.1 * dt * (motor + weight - 0.1 * np.tanh(speed / 0.05)) / inertia
-            angle += 0.1 * dt * speed
-    return {"mass": mass, "length": length, "kp": kp, "trajectory": "sin_sin", "dt": dt, "entries": entries}
-
-
-@pytest.fixture(scope="session")
-def servo_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("servo")
-    logs = folder / "data" / "feetech" / "STS_3250" / "processed"
-    (logs / "validation").mkdir(parents=True)
-    for k in range(6):
-        content = servo_log(k, kp=(8, 16, 32)[k % 3])
-        (logs / f"run{k}.json").write_text(json.dumps(content, default=bool))
-    for k in range(6, 8):
-        content = servo_log(k, kp=16, rows=100 + 20 * (k - 6))
-        (logs / "validation" / f"run{k}.json").write_text(json.dumps(content, default=bool))
-    models = logs.parent / "friction_params"
-    models.mkdir()
-    plain = {"kt": 1.2, "R": 2.25, "armature": 0.01, "q_offset": 0.0}
-    plain |= {"friction_base": 0.1, "friction_viscous": 0.0}
-    for k in range(1, 7):
-        (models / f"m{k}.json").write_text(json.dumps({**plain, "model": f"m{k}"}))
     return folder

@@ -196,7 +196,7 @@ def test_limits_of_a_machine_are_one_pair_or_one_for_each_input(limits: Any) -> 
         ({"input_centre": ()}, "`input_centre` takes a number"),
         ({"input_weight": (1.0, 0.0)}, "must be above 0"),
         ({"input_weight": (1.0, -1.0)}, "`input_weight` must be at least 0"),
-        ({"rate_weight": -1.0}, "rate_weight"),
+        ({"rate_weight": -1.0}, "`rate_weight` must be at least 0"),
         ({"steps": 0}, "steps"),
         ({"horizon": 0.0}, "horizon"),
     ],

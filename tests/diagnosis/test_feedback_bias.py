@@ -8,15 +8,18 @@ import pytest
 from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.feedback_bias import (
     FeedbackBiased,
+    allowances,
     behind_smoothers,
     chance_beyond,
+    lengths_of_parameters,
     with_suspects,
 )
 from nsde_torch.diagnosis.joint_selection import JointSearch
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.inference import LogLikelihood
-from nsde_torch.sysid.feedback_test import FACTOR, Answer, FeedbackTest
+from nsde_torch.sysid.feedback_test import FACTOR, Answer, FeedbackTest, leaning
 from nsde_torch.systems import make_system
+from tests.helpers.diagnosed import recorded
 from tests.inference.springs import linear_runs
 
 DRIVEN = {"the input of w_x": ("w_x",), "the input of w_z": ("w_z",)}
@@ -76,6 +79,30 @@ def test_an_effect_counts_by_what_it_brings_beyond_what_may_be_hidden() -> None:
     # of an effect that moves another channel too, that one shows it
     assert chance_beyond({"w_x": 150.0, "v_y": 60.0}, ["w_x", "v_y"], allowed, 2) < 1e-9
     assert "data.instruments" in FeedbackBiased("angular_damping", ("w_x",)).reason
+
+
+def test_an_effect_is_bent_by_inputs_between_rows_as_far_as_it_leans_along_them() -> None:
+    product = "force = c1 q q_dot"
+    system = make_system("mass_spring_damper")
+    runs = recorded("mass_spring_damper", durations=(8.0,) * 3).runs
+    with_product = system.with_effects(system.make_effect(product, {"c1": 0.1}))
+    fitted = Search(system, runs, 1.0, Options()).quick(with_product)
+    lean = dict(zip(fitted.vector.labels, leaning(fitted)[0], strict=True))
+    assert lean["force_gain"] > 0.5
+    assert lean[f"{product}.c1"] < 0.6 * lean["force_gain"]
+
+    way = "force"
+    answers = (Answer(way, "q_dot", 0.001, 1e-9),)
+    test = FeedbackTest(answers, (), driven={way: ("q_dot",)}, rows=1000, between={"q_dot": 30.0})
+    lengths = lengths_of_parameters(test, fitted)
+    (own,) = fitted.vector.of(product)
+    assert allowances(lengths, [own])["q_dot"] == pytest.approx((30.0 * lean[f"{product}.c1"]) ** 2)
+    # so does what inputs know of a step
+    knows = replace(test, knowledge=(Answer(way, "q_dot", 0.0, 0.5, upper=0.4),))
+    assert allowances(lengths_of_parameters(knows, fitted), [own])["q_dot"] == pytest.approx(
+        FACTOR**2 * 400 * lean[f"{product}.c1"] ** 2
+    )
+    assert lengths_of_parameters(FeedbackTest(), fitted) == {}
 
 
 @pytest.mark.slow

@@ -17,10 +17,13 @@ from nsde_torch.evaluation.figures import Coverage, extrapolate
 from nsde_torch.evaluation.metrics import horizons_of
 from nsde_torch.evaluation.scores import (
     LEVELS,
+    group_squares,
     interval_quantiles,
+    rms_by_group,
 )
 from nsde_torch.models import NeuralSDE, SDESpec
 from nsde_torch.models.run_directory import save
+from nsde_torch.systems import make_system
 from tests.helpers.draws import generator
 from tests.helpers.flights import flight
 from tests.helpers.toy_systems import DT, Decay, decay_runs, fix_sigma, make_model
@@ -73,6 +76,17 @@ def test_baseline_errors_of_a_sine_are_the_closed_forms() -> None:
         assert scores["hold"]["position"][f"{h:g}"] == pytest.approx(held, rel=0.01)
         assert scores["hold"]["velocity"][f"{h:g}"] == pytest.approx(held, rel=0.01)
         assert scores["constant_velocity"]["position"][f"{h:g}"] == pytest.approx(moving, rel=0.02)
+
+
+def test_group_error_is_the_rms_of_the_norm_in_the_groups_unit() -> None:
+    system = make_system("hexacopter")
+    e = torch.zeros(2, 12)
+    e[0, :3] = torch.tensor([3.0, 4.0, 0.0])
+    e[:, 6] = math.pi / 180
+    rms = rms_by_group(system, group_squares(system, e)[:, None], ["1"])
+    assert rms["position"]["1"] == pytest.approx(math.sqrt(25 / 2))
+    assert rms["attitude"]["1"] == pytest.approx(1.0)
+    assert rms["velocity"]["1"] == 0.0
 
 
 def with_gap(run: Run, at: int) -> Run:

@@ -9,9 +9,11 @@ import torch
 from nsde_torch.arrays import Array
 from nsde_torch.data import Run
 from nsde_torch.inference import LogLikelihood, kernels, log_likelihood
+from nsde_torch.inference.chunks import Chunks
 from nsde_torch.inference.estimate import maximised
 from nsde_torch.inference.lanes import WIDTH
 from nsde_torch.inference.low_pass import low_passed
+from nsde_torch.inference.steps import steps_of
 from nsde_torch.systems import make_system
 from tests.helpers.diagnosed import recorded
 from tests.inference.springs import (
@@ -99,6 +101,41 @@ def test_a_clock_that_runs_slow_is_made_up_for() -> None:
     slow = Run(run.name, 0.5 * run.t, run.x, run.u)
     expected = log_likelihood(spring(), [run], levels=levels_of())
     assert log_likelihood(spring(), [slow], levels=levels_of(), clock=2.0) == pytest.approx(expected)
+
+
+Stretches = tuple[tuple[int, int], ...]
+
+
+def numbered(lengths: tuple[int, ...], gaps: dict[int, Stretches], dt: float) -> list[Run]:
+    out, at = [], 0
+    for k, n in enumerate(lengths):
+        number = np.arange(at, at + n, dtype=np.float64)
+        x = np.column_stack([number, number])
+        out.append(Run(f"run_{k}", dt * number, x, number[:, None], segments=gaps.get(k, ())))
+        at += n
+    return out
+
+
+CASES: dict[str, tuple[tuple[int, ...], dict[int, Stretches]]] = {
+    "one shorter than a chunk": ((50,), {}),
+    "of two rows": ((2, 2), {}),
+    "exactly a chunk": ((140,), {}),
+    "a row more than a chunk": ((141,), {}),
+    "long": ((2357,), {}),
+    "several, long and short": ((700, 33, 141, 90), {}),
+    "with gaps": ((800, 300), {0: ((0, 40), (45, 450), (500, 800)), 1: ((10, 12), (20, 299))}),
+}
+
+
+@pytest.mark.parametrize("dt", [0.1, 0.02, 0.001])
+@pytest.mark.parametrize("late", [0, 30])
+@pytest.mark.parametrize("case", CASES)
+def test_each_row_after_the_first_ones_of_a_stretch_counts_once(case: str, late: int, dt: float) -> None:
+    runs = numbered(*CASES[case], dt)
+    chunks = Chunks(steps_of(spring(), runs, clock=1.0, smooth=False), late=late)
+    expected = np.concatenate([run.x[a + 1 + late : b, 0] for run in runs for a, b in run.segments])
+    counted = chunks.y[chunks.counted][:, 0].numpy()
+    np.testing.assert_array_equal(np.sort(counted), expected)
 
 
 @pytest.mark.parametrize("count", [1, WIDTH, WIDTH + 3])

@@ -77,6 +77,19 @@ def test_paper_loss_is_smallest_without_any_spread() -> None:
     assert scores[3] > 1.5 * scores[0]
 
 
+@pytest.mark.parametrize("early", [0.0, 0.5, 2.0])
+def test_weights_of_the_steps_fall_as_a_power_and_average_one(early: float) -> None:
+    horizon = 6
+    alone = []
+    for k in range(horizon):
+        e = torch.zeros(2, 4, horizon, 1)
+        e[:, :, k] = 3.0  # both particles: the spread is zero, the score is the error
+        alone.append(float(data_loss(e, torch.ones(1), kind="replay", early=early, paired=False)))
+    assert sum(alone) == pytest.approx(3.0, rel=1e-5)
+    for k, value in enumerate(alone):
+        assert value / alone[0] == pytest.approx((k + 1) ** -early, rel=1e-5)
+
+
 def test_default_loss_refuses_one_particle_and_an_unknown_kind() -> None:
     with pytest.raises(ConfigError, match=r"loss.particles.*at least 2"):
         LossOptions(kind="replay", particles=1)

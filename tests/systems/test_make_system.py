@@ -1,5 +1,6 @@
 """Systems by name, and their declared parameters as one vector; every mistake is refused with the choices at hand."""
 
+import copy
 from pathlib import Path
 from typing import Any
 
@@ -97,6 +98,17 @@ def test_a_system_of_ones_own_is_found_by_module_and_class_and_what_it_cannot_im
     assert make_system("my_machines:Springs").name == "mass_spring_damper"
     with pytest.raises(ConfigError, match="no_such_package_at_all"):
         make_system("my_broken_machine:Mine")
+
+
+def test_a_copy_has_numbers_of_its_own() -> None:
+    system = make_system("hexacopter", effects=["motor_lag", "linear_drag"])
+    before = {name: value.clone() for name, value in system.state_dict().items()}
+    for mine in (copy.deepcopy(system), system.with_effects()):
+        for value in mine.parameters():
+            torch.nn.init.constant_(value, 7.0)
+        mine.set_step(0.5)
+    assert all(torch.equal(value, before[name]) for name, value in system.state_dict().items())
+    assert system.step != 0.5
 
 
 def test_a_copy_with_further_effects_moves_as_one_made_with_them() -> None:

@@ -44,7 +44,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def diagnosed(runs: Path, tmp_path_factory: pytest.TempPathFactory) -> Diagnosed:
     out = tmp_path_factory.mktemp("out") / "diagnosis"
     words = [SYSTEM, "data=csv", f"data.path={runs}", "retrain=false", f"out_dir={out}"]
-    assert main(["diagnose", *words]) == 0
+    assert main(["diagnose", *words, "candidates=[coulomb_friction,quadratic_damping]"]) == 0
     return out, json.loads((out / "diagnosis.json").read_text())
 
 

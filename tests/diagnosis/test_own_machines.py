@@ -233,6 +233,7 @@ def test_a_sound_machine_without_a_position_is_sound_in_slow_and_noisy_rows() ->
     assert not found.content()["guard"]["objections"]
 
 
+@pytest.mark.slow
 def test_the_weaker_of_two_propellers_is_named() -> None:
     found = nsde_torch.diagnose(sailed((0.92, 1.0), 0.0), system=Boat, say=False)
     assert found.added == ["actuator_efficiency_loss"]

@@ -46,6 +46,7 @@ def identified(data: DataSet, **further: Any) -> Identification:
     return identify_in_loop(system, data.runs, **further)
 
 
+@pytest.mark.slow
 def test_a_friction_that_the_noise_model_learned_comes_out_of_longer_boxes() -> None:
     found = identified(axis(14.0, slip=5e-4, seed=3))
     assert found.finer.guard is not None

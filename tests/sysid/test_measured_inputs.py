@@ -13,11 +13,11 @@ SPRING = make_system("mass_spring_damper")
 
 
 def thrown(seed: int, *, levels: tuple[float, ...], noise: float, acts: bool = False) -> list[RawRun]:
-    """A spring under a force that changes its level at random, 30 s in steps of 1 ms, logged every 10 ms with noise."""
+    """A spring under a force that changes its level at random, 20 s in steps of 1 ms, logged every 10 ms with noise."""
     rng = np.random.default_rng(seed)
     out = []
     for name in ("a", "b"):
-        n, x = 3000, np.zeros((3000, 2))
+        n, x = 2000, np.zeros((2000, 2))
         force = np.array(levels)[np.repeat(rng.integers(len(levels), size=n // 40), 40)]
         logged = force + noise * rng.standard_normal(n)
         q, v = 0.3, 0.0
@@ -59,7 +59,7 @@ def test_noise_stays_where_the_log_is_kept_as_it_is() -> None:
 
 
 def driven(seed: int, *, lag_s: float = 0.0, noise: float = 0.0, gap: float = 0.0) -> list[RawRun]:
-    """A spring under a force of many waves, or steps behind an actuator, 30 s in steps of 1 ms, logged every 10 ms.
+    """A spring under a force of many waves, or steps behind an actuator, 20 s in steps of 1 ms, logged every 10 ms.
 
     The force is held over 10 ms, but behind an actuator's lag. It is logged as it was at each row, with noise that does
     not move the spring. `gap` is that of play behind the logged force [N].
@@ -67,7 +67,7 @@ def driven(seed: int, *, lag_s: float = 0.0, noise: float = 0.0, gap: float = 0.
     rng = np.random.default_rng(seed)
     out = []
     for name in ("a", "b"):
-        n, x, logged = 3000, np.zeros((3000, 2)), np.zeros(3000)
+        n, x, logged = 2000, np.zeros((2000, 2)), np.zeros(2000)
         t, waves = DT * np.arange(n), 2.0 * np.pi * rng.uniform(0.1, 2.0, 6)
         wanted = 0.4 * np.sin(np.outer(t, waves) + rng.uniform(0.0, 6.0, 6)).sum(1)
         if lag_s:

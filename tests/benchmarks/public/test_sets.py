@@ -55,6 +55,7 @@ def test_the_drive_is_found_and_the_second_call_keeps_the_stages(emps_folder: Pa
     assert any(line.startswith("linear models") and line.endswith("-") for line in lines)
 
 
+@pytest.mark.slow
 def test_the_pendulum_is_found(pendulum_folder: Path, tmp_path: Path) -> None:
     content = run_benchmark("pendulum", pendulum_folder, out_dir=tmp_path)
     assert content["parameters"]["inertia"]["value"] == pytest.approx(1 / 8.0, rel=0.05)

@@ -8,8 +8,7 @@ from typing import Any
 import pytest
 import torch
 
-from nsde_torch.cli import fly_build
-from nsde_torch.cli.closed_loop import experiments, loop, machines
+from nsde_torch.cli import closed_loop, fly_build
 from nsde_torch.cli.main import main
 from nsde_torch.control.shapes import waypoints
 from nsde_torch.design.experiment import write_plan
@@ -46,7 +45,7 @@ class Flights:
 @pytest.fixture
 def flights(monkeypatch: pytest.MonkeyPatch) -> Flights:
     """Every flight is of a new vehicle in virtual time, by the cascade; a diagnosis is written, not made."""
-    made, fly = Flights(), machines.fly_vehicle
+    made, fly = Flights(), closed_loop.fly_vehicle
 
     def opened(url: str, **more: Any) -> VirtualLink:
         made.vehicle = SimulatedAutopilot(Body("quadrotor", seed=len(made.paths), latency=0.02), seed=1)
@@ -68,12 +67,12 @@ def flights(monkeypatch: pytest.MonkeyPatch) -> Flights:
             _diagnosis(out, tied=out.parent.name == "out", runs=[p.stem for p in sorted(logs.glob("*.csv"))])
 
     monkeypatch.setattr(links, "open_link", opened)
-    monkeypatch.setattr(machines, "fly_vehicle", flown)
+    monkeypatch.setattr(closed_loop, "fly_vehicle", flown)
     monkeypatch.setattr(
         fly_build, "Process", lambda maker, **more: Inline(CascadeController(PathPoints(maker.path)))
     )
-    monkeypatch.setattr(loop, "diagnose_logs", diagnosed)
-    monkeypatch.setattr(experiments, "obtained", lambda *given, **more: Obtained())
+    monkeypatch.setattr(closed_loop, "diagnose_logs", diagnosed)
+    monkeypatch.setattr(closed_loop, "obtained", lambda *given, **more: Obtained())
     return made
 
 

@@ -10,10 +10,10 @@ import torch
 import nsde_torch
 from nsde_torch.data import Run
 from nsde_torch.inference import LogLikelihood, fit, log_likelihood
+from nsde_torch.inference.estimate import filtered_at
 from nsde_torch.inference.levels import Levels
 from nsde_torch.inference.maximum import likeliest
 from nsde_torch.inference.posterior import LogWithPrior, Posteriors
-from nsde_torch.inference.states import filtered_at
 from nsde_torch.recording import assemble
 from nsde_torch.simulation import simulate
 from nsde_torch.systems import make_system

@@ -9,11 +9,9 @@ import torch
 from nsde_torch.arrays import Array
 from nsde_torch.data import Run
 from nsde_torch.inference import LogLikelihood, kernels, log_likelihood
-from nsde_torch.inference.chunks import Chunks
 from nsde_torch.inference.estimate import maximised
 from nsde_torch.inference.lanes import WIDTH
-from nsde_torch.inference.low_pass import low_passed
-from nsde_torch.inference.steps import steps_of
+from nsde_torch.inference.steps import Chunks, low_passed, steps_of
 from nsde_torch.systems import make_system
 from tests.helpers.diagnosed import recorded
 from tests.inference.springs import (

@@ -9,8 +9,7 @@ import torch
 from nsde_torch.data import Run
 from nsde_torch.effects.actuators import ActuatorLag
 from nsde_torch.errors import DataError
-from nsde_torch.inference.memory import memory_along
-from nsde_torch.inference.steps import Steps, steps_of
+from nsde_torch.inference.steps import Steps, memory_along, steps_of
 from nsde_torch.systems import System, make_system
 
 DT, TAU = 0.01, 0.05

@@ -76,7 +76,9 @@ _LOST = 1.0  # nats by which the nonlinear filter may differ from its linearisat
 _LATE = 30  # rows after the start of a stretch in which unmeasured states are known from later ones
 _SHORTEST, _FEWEST = 32, 50  # steps of a stretch, rows in all
 _SHORTEST_OF_STATES = 10
-_UNKNOWN = 3.0  # times what is not known of an inferred rate: where a filter starts
+_UNKNOWN = (
+    3.0  # times what is not known of an inferred rate, and times the size of a memory: where a filter starts
+)
 _DIFFERENCES, _OVER = 4, 10
 _LAGS = 10  # of the autocorrelation of innovations
 _WHITE = 0.02  # largest share of their variance that the past of whitened innovations may predict
@@ -286,14 +288,16 @@ class LogLikelihood:
         std = torch.ones(len(inner.error_names), dtype=torch.float64)
         for j, value in unknown.items():
             std[inner.error_names.index(inner.state_names[j])] = _UNKNOWN * value
-        of_memory = std.new_zeros(chunks.count, 0)
+        of_memory, begun = std.new_zeros(chunks.count, 0), None
         if self.space.estimated:
             noise = chunks.y.diff(n=_DIFFERENCES, dim=0).square().mean((0, 1)).div(FOURTH).sqrt()
             if inner.quaternion is not None:
                 noise[inner.quaternion] = 0.0
-            self.vector.use(torch.from_numpy(self.vector.start))
-            of_memory = torch.where(chunks.follows[:, None], *self.space.noise_of_memory(noise))
-        self.start = Start(chunks.y[0], std, of_memory)
+            self.space.use(self.vector.start)
+            follows, begins = self.space.noise_of_memory(noise)
+            of_memory = torch.where(chunks.follows[:, None], follows, _UNKNOWN * begins)
+            begun = self.space.memory_as_measured()
+        self.start = Start(chunks.y[0], std, of_memory, begun)
 
     def first(self, theta: Array) -> tuple[Levels, Linearisation]:
         """First noise levels, and the linearisation about the measured states."""

@@ -18,7 +18,7 @@ from torch import Tensor
 from nsde_torch.arrays import Array
 from nsde_torch.columns import join_columns, split_columns
 from nsde_torch.effects import Port
-from nsde_torch.inference.steps import Chunks, Steps, low_passed, memory_along
+from nsde_torch.inference.steps import Chunks, Steps, low_passed, memory_along, memory_as_measured
 from nsde_torch.rotation import body_rates, turned
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
@@ -223,6 +223,17 @@ class StateSpace:
         noisy, clean = (memory_along(system, part)[0] for part in (replace(steps, x0=x0, x1=x1), steps))
         noise_std, size = (values[:, list(self.estimated)].std(0) for values in (noisy - clean, clean))
         return noise_std, size
+
+    def memory_as_measured(self) -> Tensor:
+        """Estimated memory that each chunk starts with (C, q), by what was measured."""
+        steps, system, own = self.steps, self.vector.system, list(self.estimated)
+
+        def residual(before: Tensor, after: Tensor) -> Tensor:
+            later = self.step(steps.t, join_columns((steps.x0, before[:, own])), before, steps.u)
+            return system.error(steps.x1, later[:, : system.nx])
+
+        memory = memory_along(system, steps)
+        return self.chunks.cut(memory_as_measured(system, steps, memory, own, residual)[0][:, own])[0]
 
     def rate(
         self, t: Tensor, x: Tensor, memory: Tensor, u: Tensor, push: Mapping[Port, Tensor] | None = None

@@ -15,7 +15,7 @@ nearly white, as they are of a state itself.
 """
 
 import copy
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, final
@@ -422,6 +422,59 @@ def _held(system: System, steps: Steps) -> tuple[Tensor, Tensor, Tensor]:
         starts.append(before[lead:])
         parts.append(after[lead:])
     return torch.cat(starts), torch.cat(parts), known
+
+
+def memory_as_measured(
+    system: System,
+    steps: Steps,
+    memory: tuple[Tensor, Tensor],
+    own: Sequence[int],
+    residual: Callable[..., Tensor],
+) -> tuple[Tensor, Tensor]:
+    """Memory at both ends of every step; some columns of it start, in each segment, where least is left.
+
+    Of an oven whose wall was 15 K colder than the air as each run began, residuals were larger with what it stores
+    than without, and its time 7 % short.
+
+    Args:
+        memory: As `memory_along` has it.
+        own: Those columns; a filter estimates them.
+        residual: Of both, what is left of each step (N, channels).
+    """
+    own = list(own)
+    size, before = memory[0][:, own].std(0) + 1e-12, residual(*memory)
+
+    def rates(there: Tensor) -> Tensor:
+        return system.memory_rate(steps.t, torch.cat((steps.x0, there), 1), steps.u)[:, own]
+
+    still, slopes = rates(memory[0]), []
+    for j, column in enumerate(own):
+        moved = memory[0].clone()
+        moved[:, column] += size[j]
+        slopes.append((rates(moved) - still) / size[j])
+    step = torch.linalg.matrix_exp(
+        steps.dt * torch.stack(slopes, 2)
+    )  # of what starts elsewhere, to the next row
+    away = torch.empty_like(step)
+    for a, b in steps.segments:
+        away[a] = torch.eye(len(own))
+        for k in range(a + 1, b):
+            away[k] = step[k - 1] @ away[k - 1]
+    ends, responses = (away, step @ away), []
+    for j in range(len(own)):
+        aside = [part.clone() for part in memory]
+        for part, there in zip(aside, ends, strict=True):
+            part[:, own] += size[j] * there[:, :, j]
+        responses.append(residual(*aside) - before)
+    weight = before.square().mean(0).clamp_min(1e-300).rsqrt()
+    columns, left = torch.stack(responses, 2) * weight[:, None], before * weight
+    out = [part.clone() for part in memory]
+    for a, b in steps.segments:
+        rows = columns[a:b].flatten(0, 1)
+        nearer = torch.linalg.solve(rows.T @ rows + torch.eye(len(own)), -rows.T @ left[a:b].flatten()) * size
+        for part, there in zip(out, ends, strict=True):
+            part[a:b, own] += there[a:b] @ nearer
+    return out[0], out[1]
 
 
 # ---- chunks ------------------------------------------------------------------------------------------

@@ -39,7 +39,7 @@ from nsde_torch.arrays import Array, Labels
 from nsde_torch.columns import join_columns, split_columns, take_rows
 from nsde_torch.data.system_info import rate_pairs
 from nsde_torch.effects import Port
-from nsde_torch.inference.steps import Steps, data_sizes, memory_along
+from nsde_torch.inference.steps import Steps, data_sizes, memory_along, memory_as_measured
 from nsde_torch.rotation import rotate_back, rotation_between
 from nsde_torch.sysid.noise import Noise
 from nsde_torch.systems.parameters import ParameterVector
@@ -234,7 +234,15 @@ class Physics:
     def _memory_at(self, theta: Tensor) -> tuple[Tensor, ...]:
         self.vector.use(theta)
         system = self.vector.system
-        return memory_along(system, self.steps) if system.nz > system.nx else ()
+        if system.nz == system.nx:
+            return ()
+        memory = memory_along(system, self.steps)
+        own, measured = system.memory_columns(system.estimated_effects), torch.from_numpy(self.measured)
+        if not own:
+            return memory
+        return memory_as_measured(
+            system, self.steps, memory, own, lambda *there: measured - self._change(theta, *there)
+        )
 
     def _change(self, theta: Tensor, *memory: Tensor) -> Tensor:
         """Predicted change over each step (N, nx)."""

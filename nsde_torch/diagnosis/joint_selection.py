@@ -50,6 +50,8 @@ from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector, own_name
 from nsde_torch.time_limit import check_time
 
+# of numpy, and of a machine whose own matrix is: of a crane at a rope of no length the selection ended
+_SINGULAR = np.linalg.LinAlgError, torch.linalg.LinAlgError
 _RISES = 0.3  # share of the nats of a linearised step that a fit has to bring
 _TRIED = 3  # candidates that are fitted to the end before a round ends
 _RIVALS = 3  # candidates that are fitted in the place of an effect, beside those that it contains
@@ -340,6 +342,8 @@ class JointSearch:
             self._rounds.append(Round(self.look(place), name))
             if better is None:
                 break
+            # memory starts by the values that a fit begins at: a heater had a gain that drifts by 1e-7 1/s, 118 nats
+            better = self._settled(better) if better.at.of.space.estimated else better
             before, place = place, self._without_idle(self._declared_if_short(better))
             known(before, place)
         return place
@@ -398,7 +402,7 @@ class JointSearch:
         """
         try:
             return self.fitted(system, like, wanted)
-        except np.linalg.LinAlgError:
+        except _SINGULAR:
             return replace(like, best=replace(like.best, likelihood=-inf))
 
     def look(self, place: FittedPhysics) -> Look:
@@ -879,7 +883,7 @@ def looked(search: Search, place: FittedPhysics, frequencies: Sequence[float] = 
             try:
                 own = own or place.at.of.of(joined(place.system, name, start), space.estimates)
                 entry, columns = _columns(own, place, name, start, (middle, rates), at)
-            except (NsdeError, np.linalg.LinAlgError):
+            except (NsdeError, *_SINGULAR):
                 continue
             if not bool(torch.isfinite(columns).all()):
                 continue

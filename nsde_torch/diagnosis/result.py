@@ -663,7 +663,7 @@ def looks_like(written: grammar.Written, values: dict[str, float], system: Syste
     every = list(grammar.nodes(written.right))
     names = {n.name for n in every if isinstance(n, grammar.Variable) and not n.logged}
     if len(written.right.parts) != 1:
-        return "dry friction that depends on the place" if _calls(every, "sign") and len(names) > 1 else None
+        return _dry(names, system) if _calls(every, "sign") else None
     if not any(isinstance(n, grammar.Variable) for n in every):
         return "what is always there: a load, a leak, a bias of an actuator"
     if "time" in names:
@@ -690,6 +690,14 @@ def looks_like(written: grammar.Written, values: dict[str, float], system: Syste
         }
         return None if names & speeds & raised else "friction that depends on the place"
     return None
+
+
+def _dry(names: set[str], system: System) -> str | None:
+    """What a sum of dry frictions may be, by the variables that they go with."""
+    beside = names - {v for _, v, _ in system.position_derivatives}
+    if beside and beside <= {p for p, _, _ in system.position_derivatives}:
+        return "dry friction that depends on the place"
+    return "dry friction that depends on the load" if beside and beside <= {*system.input_names} else None
 
 
 def _of_place(

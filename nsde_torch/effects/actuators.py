@@ -472,6 +472,7 @@ class AsymmetricLag(_AnyLag):
     """
 
     name = "asymmetric_lag"
+    each_input = True
     formula = "u_eff = m, dm/dt = (u - m) / (tau_rising if u > m else tau_falling)"
     source = "time constants up and down of motors in simulators (Furrer et al., RotorS, 2016)"
     PARAMETERS = {

@@ -498,8 +498,8 @@ class AddedInertia(Law):
     }
     amplitudes = ("share",)
     sentence = (
-        "{it} accelerates by a share of {share} less than declared: its inertia or its length is larger, or a constant "
-        "of its equation is another one."
+        "{it} accelerates by a share of {share} less than declared (below 0: more): as if its inertia or its length "
+        "were larger (smaller) by that share of what it is, or a constant of its equation is another one."
     )
     separate = "weigh and measure it, or swing it freely"
 

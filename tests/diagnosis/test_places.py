@@ -13,7 +13,6 @@ from nsde_torch.data.raw import RawRun
 from nsde_torch.effects import Coordinate, Parameter, Port
 from nsde_torch.errors import ConfigError
 from nsde_torch.systems import Defaults, ResidualPort, System
-from tests.helpers.effect_contract import EffectContract
 
 DT, DRAG, TURN = 0.1, (0.3, 0.8), 0.4
 CURRENT = (0.12, -0.2)
@@ -76,10 +75,6 @@ def test_a_current_is_found_in_its_direction_and_none_in_still_water(current: tu
         low, high = found["parameters"][f"drift_velocity[{axis}].velocity"]["interval_90"]
         assert low - 0.002 < true < high + 0.002
         assert high - low < 0.02
-
-
-class TestDriftVelocity(EffectContract):
-    name, system = "drift_velocity[x]", "tests.diagnosis.test_places:Boat"
 
 
 def test_places_have_no_friction_and_velocities_none_of_their_own() -> None:

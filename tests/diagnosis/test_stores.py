@@ -18,7 +18,6 @@ from nsde_torch.effects import Parameter, Port
 from nsde_torch.errors import ConfigError
 from nsde_torch.sysid.feedback_test import Answer, FeedbackTest
 from nsde_torch.systems import Defaults, ResidualPort, System
-from tests.helpers.effect_contract import EffectContract
 
 DT, LOSS, GAIN = 1.0, 0.02, 0.5
 
@@ -80,10 +79,6 @@ def test_what_flows_through_a_hole_is_a_root_of_the_level() -> None:
     assert found["added"] == ["heat = c1 root(T)"]
     low, high = found["parameters"]["heat = c1 root(T).c1"]["interval_90"]
     assert 1.03 * low < -0.05 < 0.97 * high
-
-
-class TestExchange(EffectContract):
-    name, system = "exchange", "tests.diagnosis.test_stores:Room"
 
 
 def test_an_input_that_never_comes_near_zero_has_no_dead_band_and_one_of_one_sign_no_gain_by_it() -> None:

@@ -273,3 +273,8 @@ def test_play_is_its_own_definition() -> None:
     assert acts.tolist() == pytest.approx([0.0, 0.25, 0.75, 0.75, 0.55, -0.25, -0.25])
     x = u.new_zeros(len(u), 2)
     torch.testing.assert_close(u + effect.double()(0.0, x, u, acts[:, None]), acts[:, None])
+
+
+TestExchange = contract("exchange", "tests.diagnosis.test_stores:Room")
+TestDriftVelocity = contract("drift_velocity[x]", "tests.diagnosis.test_places:Boat")
+TestLagOfOneInput = contract("asymmetric_lag[tau1]", "tests.helpers.two_joints:TwoJoints", memory=1)

@@ -246,7 +246,7 @@ def test_a_law_of_ones_own_is_an_effect_on_every_coordinate() -> None:
     [
         (HOME, "coulomb_friction", ["several coordinates", "coulomb_friction[q1], coulomb_friction[q2]"]),
         (HOME, "coulomb_friction[q3]", ["'q3' is none", "coulomb_friction[q1]"]),
-        (HOME, "asymmetric_lag[q1]", ["no law of one coordinate", "leave out [q1]"]),
+        (HOME, "actuator_efficiency_loss[q1]", ["no law of one coordinate", "leave out [q1]"]),
         (HOME, "load_friction[q2]", ["`load`", "'q2'"]),
         ("cartpole", "link_weight[pole]", ["one of several angles", "'pole'"]),
         ("cartpole", "cubic_stiffness[pole]", ["rail or joint", "'pole' is of kind axis"]),
@@ -375,7 +375,7 @@ def test_machines_with_one_input_and_rotors_have_none() -> None:
     ("name", "said"),
     [
         ("actuator_lag[tau3]", "'tau3' is no input"),
-        ("asymmetric_lag[tau1]", "no law of one coordinate"),
+        ("actuator_efficiency_loss[tau1]", "no law of one coordinate"),
     ],
 )
 def test_a_name_that_is_no_input_is_refused(name: str, said: str) -> None:

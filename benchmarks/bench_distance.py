@@ -13,11 +13,12 @@ from typing import Any
 
 import numpy as np
 import torch
-from common import Array, held_out, options, read_json
+from common import Array, options, read_json
 from scipy.spatial import cKDTree
 from scipy.stats import spearmanr
 
 import nsde_torch
+from nsde_benchmarks.paper.figure_table import held_out
 from nsde_torch.evaluation.scores import interval_quantiles
 
 
@@ -25,23 +26,18 @@ def main() -> None:
     parser = options(__doc__, seed=0)
     parser.add_argument("runs", type=Path, nargs="+")
     a = parser.parse_args()
-    torch.set_num_threads(1)
     for folder in a.runs:
         r = score(folder, a.seed)
         print(f"{folder.name:24s} " + "  ".join(f"{k} {v:.3f}" for k, v in r.items()), flush=True)
 
 
 def score(folder: Path, seed: int) -> dict[str, float]:
-    """Figures of one run directory."""
     model = nsde_torch.load(folder)
-    sides = held_out(folder)
+    parts = held_out(folder)
+    sides = parts.train, parts.test
     assert set(read_json(folder / "metrics.json")["test_runs"]) == {r.name for r in sides[1]}
-    train, test = (
-        model.system.features(
-            torch.as_tensor(np.concatenate([r.x[p:q] for r in side for p, q in r.segments])).float()
-        ).numpy()
-        for side in sides
-    )
+    states = (np.concatenate([r.x[p:q] for r in side for p, q in r.segments]) for side in sides)
+    train, test = (model.system.features(torch.as_tensor(x).float()).numpy() for x in states)
     rng = np.random.default_rng(seed)
     low, high = train.min(0), train.max(0)
     test = test[rng.permutation(len(test))[:5000]]
@@ -53,20 +49,17 @@ def score(folder: Path, seed: int) -> dict[str, float]:
     near, far = (tree.query(f / spread)[0] for f in (test, away))
     logit_in, logit_out = (np.log(e) - np.log1p(-e) for e in (eta_in, eta_out))
     rank = np.searchsorted(np.sort(eta_in), eta_out).mean() / len(eta_in)
-    widths = {}
-    if model.spec.system == "mass_spring_damper":  # whose features are its states
-        widths = {
-            f"width of {n} away over held-out": w
-            for n, w in zip("qv", widening(model, train, test), strict=True)
-        }
-    return {
-        **widths,
+    scores = {
         "AUROC": float(rank),
         "Spearman": float(spearmanr(np.r_[logit_in, logit_out], np.r_[near, far])[0]),
         "Spearman of the uniform ones": float(spearmanr(logit_out, far)[0]),
         "eta on held-out": float(eta_in.mean()),
         "eta away": float(eta_out.mean()),
     }
+    if model.spec.system == "mass_spring_damper":  # whose features are its states
+        for name, width in zip("qv", widening(model, train, test), strict=True):
+            scores[f"width of {name} away over held-out"] = width
+    return scores
 
 
 def widening(model: Any, train: Array, test: Array) -> list[float]:

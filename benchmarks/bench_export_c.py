@@ -2,20 +2,13 @@
 
     python benchmarks/bench_export_c.py declared RUN [--program build/flight_computer] [--package controller.pt2]
 
-`declared` is the physics alone, RUN what `nsde train system=hexacopter` writes. The states are along the lemniscate, 20
-ms apart, off it by more than a flight's errors, so that nearly all plans take two iterations. C is compiled with -O2
-(CC names the compiler) and with -O3 -march=native, into a process that does nothing else; the others are run by
-examples/flight_computer, if it is given. The package is that of the last RUN, since to make one takes minutes. Forms
-take turns, and a row shows the lowest and the highest of the repeats. On a busy computer the tail is that of its other
-work; the time of the processor for this thread alone, which C tells too, is not.
-
-Of the controller in Python, which is C within, there are two rows: what `nsde track` calls a solve, and a plan with all
-that is around it. Last come the seconds from the start of `nsde track` to its first plan, with empty caches and again.
+`declared` is the physics alone, RUN what `nsde train system=hexacopter` writes. States are along the lemniscate, 20 ms
+apart, off it by more than a flight's errors, so that nearly all plans take two iterations. C is compiled (CC names the
+compiler) into a process that does nothing else; files for libtorch are run by examples/flight_computer, if it is given;
+the package is that of the last RUN. Forms take turns, and a row shows the lowest and the highest of the repeats. Last
+come the seconds from the start of `nsde track` to its first plan, with empty caches and again.
 """
 
-from __future__ import annotations
-
-import csv
 import json
 import os
 import re
@@ -29,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from common import options
+from common import head, line, options, save
 
 from nsde_torch.control.compiled import compiler
 from nsde_torch.control.controller import Controller, Plan, SafetyOptions
@@ -44,6 +37,7 @@ from nsde_torch.systems.multirotor import Multirotor
 
 Times = dict[str, float]
 PERIOD = 0.02
+COLUMNS = ("t", *Multirotor.state_names)
 DRIVER = Path(__file__).with_suffix(".c")
 FORMS = {
     "C, double, -O2": ("float64", ("-O2",)),
@@ -52,16 +46,7 @@ FORMS = {
 }
 
 
-def write(file: Path, times: list[float], rows: list[list[float]]) -> None:
-    """States over time as a CSV file."""
-    with file.open("w", newline="", encoding="utf-8") as opened:
-        csv.writer(opened).writerows(
-            [["t", *Multirotor.state_names], *([t, *x] for t, x in zip(times, rows, strict=True))]
-        )
-
-
 def written(run: str, file: Path, kind: str, precision: str) -> Path:
-    """A controller of a run, exported."""
     export(
         knowledge(run, "hexacopter"),
         file,
@@ -103,32 +88,28 @@ def host(program: Path, file: Path, folder: Path) -> Callable[[], Times]:
         memory = re.search(r"memory: ([\d.]+) MB", done.stdout)
         assert solves is not None
         assert memory is not None
-        p50, p99, most = map(float, solves.groups())
-        return {"p50_ms": p50, "p99_ms": p99, "max_ms": most, "memory_mb": float(memory[1])}
+        times = map(float, solves.groups())
+        return {
+            **dict(zip(("p50_ms", "p99_ms", "max_ms"), times, strict=True)),
+            "memory_mb": float(memory[1]),
+        }
 
     return run
 
 
 def python(run: str, states: list[tuple[torch.Tensor, torch.Tensor]], *, whole: bool) -> Callable[[], Times]:
     """Runs the controller in Python over the states; `whole`: with the checks and tables around a solve."""
-    known = knowledge(run, "hexacopter")
-    clocks = {"": time.perf_counter, "_cpu": time.thread_time}
-    controllers = {name: Controller(known, clock=clock) for name, clock in clocks.items()}
+    controller = Controller(knowledge(run, "hexacopter"))
 
     def measure() -> Times:
-        found = {"memory_mb": resident_mb()}
-        for name, controller in controllers.items():
-            before: Plan | None = None
-            took = []
-            for x, reference in states:
-                began = clocks[name]()
-                before = controller.plan(x[None], reference[None], before, elapsed=PERIOD)
-                took.append(1e3 * (clocks[name]() - began) if whole else before.solve_ms)
-            for key, value in zip(
-                ("p50", "p99", "max"), np.percentile(took[20:], (50, 99, 100)), strict=True
-            ):
-                found[f"{key}{name}_ms"] = float(value)
-        return found
+        before: Plan | None = None
+        memory, took = resident_mb(), []
+        for x, reference in states:
+            began = time.perf_counter()
+            before = controller.plan(x[None], reference[None], before, elapsed=PERIOD)
+            took.append(1e3 * (time.perf_counter() - began) if whole else before.solve_ms)
+        p50, p99, most = np.percentile(took[20:], (50, 99, 100)).tolist()
+        return {"memory_mb": memory, "p50_ms": p50, "p99_ms": p99, "max_ms": most}
 
     return measure
 
@@ -159,14 +140,14 @@ def main() -> None:
     parser.add_argument("--package", type=Path, default=None)
     parser.add_argument("--seconds", type=float, default=20.0)
     given = parser.parse_args()
-    torch.set_num_threads(1)
     path, problem, count = Reference(lemniscate()), ProblemOptions(), round(given.seconds / PERIOD)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         states = along(path, count, dt=problem.dt, steps=problem.steps, period=PERIOD)
-        write(folder / "log.csv", [2.0 + PERIOD * k for k in range(count)], [x.tolist() for x, _ in states])
+        seconds, rows = 2.0 + PERIOD * np.arange(count), [x.tolist() for x, _ in states]
+        save(folder / "log.csv", COLUMNS, [seconds, rows], "%.17g")
         grid = path.dt * torch.arange(round(path.duration / path.dt) + 1, dtype=torch.float64)
-        write(folder / "reference.csv", grid.tolist(), path.at(grid).tolist())
+        save(folder / "reference.csv", COLUMNS, [grid.numpy(), path.at(grid).numpy()], "%.17g")
         samples = folder / "samples.bin"
         torch.cat([torch.cat((x[None], ref)).flatten() for x, ref in states]).numpy().tofile(samples)
         forms: dict[tuple[str, str], Callable[[], Times]] = {}
@@ -180,26 +161,24 @@ def main() -> None:
             if given.program is not None:
                 file = written(run, folder / f"controller_{n}.ts", "torchscript", "float64")
                 forms[called, "TorchScript"] = host(given.program, file, folder)
-                if given.package is not None and n == len(given.runs) - 1:
-                    forms[called, "format=aoti"] = host(given.program, given.package, folder)
+        if given.program is not None and given.package is not None:
+            forms[called, "format=aoti"] = host(given.program, given.package, folder)
         found = defaultdict(list)
         for _ in range(given.repeats):
             for form, measured in forms.items():
                 found[form].append(measured())
     columns = ("p50", "p99", "max")
-    print(
-        "| model | form | p50 [ms] | p99 [ms] | largest [ms] | the same of the processor alone | resident [MB] |\n"
-        "|---|---|---|---|---|---|---|"
-    )
+    times = ("p50 [ms]", "p99 [ms]", "largest [ms]")
+    head("model", "form", *times, "the same of the processor alone", "resident [MB]")
 
     def span(rows: list[Times], key: str) -> str:
         low, high = min(r[key] for r in rows), max(r[key] for r in rows)
         return f"{low:.2f} to {high:.2f}"
 
     for (called, form), rows in found.items():
-        clock = " | ".join(span(rows, f"{c}_ms") for c in columns)
+        clock = [span(rows, f"{c}_ms") for c in columns]
         own = ", ".join(span(rows, f"{c}_cpu_ms") for c in columns) if "p50_cpu_ms" in rows[0] else ""
-        print(f"| {called} | {form} | {clock} | {own} | {max(r['memory_mb'] for r in rows):.1f} |")
+        print(line([called, form, *clock, own, f"{max(r['memory_mb'] for r in rows):.1f}"]))
     for run in given.runs:
         with tempfile.TemporaryDirectory() as name:
             seconds = [first_plan(run, Path(name)) for _ in range(1 + given.repeats)]

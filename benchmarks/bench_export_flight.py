@@ -6,13 +6,10 @@ RUN is what `nsde train system=hexacopter` writes, and the files are what `nsde 
 virtual time (the link, the checks and the commands of `nsde fly`), one after the other, in the same gusts for all.
 """
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 from statistics import fmean
 
-import torch
 from common import options
 
 from nsde_torch.control.controller import SafetyOptions
@@ -37,13 +34,9 @@ def main() -> None:
     path = lemniscate(duration=given.seconds)
     errors: dict[str, list[float]] = {}
     for name in (given.run, *given.files):
+        how = {"system": "hexacopter", "path": path, "problem": ProblemOptions(), "safety": SafetyOptions()}
         controller = PredictiveMaker(
-            run=str(name),
-            system="hexacopter",
-            path=path,
-            problem=ProblemOptions(),
-            solver=SolverOptions(iterations=10, tolerance=5e-3),
-            safety=SafetyOptions(),
+            run=str(name), solver=SolverOptions(iterations=10, tolerance=5e-3), **how
         )(print)
         found = errors.setdefault(name.name, [])
         for seed in range(given.flights):
@@ -54,18 +47,14 @@ def main() -> None:
             if report.rmse is None:
                 raise SystemExit(f"{name}, flight {seed}: {report.outcome.trouble}")
             found.append(100.0 * report.rmse)
-            print(
-                f"{name.name}, flight {seed}: RMSE {found[-1]:.3f} cm ({time.perf_counter() - started:.0f} s)"
-            )
+            took = time.perf_counter() - started
+            print(f"{name.name}, flight {seed}: RMSE {found[-1]:.3f} cm ({took:.0f} s)")
     theirs = errors[given.run.name]
     for name, ours in errors.items():
-        apart = [100.0 * (a / b - 1.0) for a, b in zip(ours, theirs, strict=True)]
-        print(
-            f"{name}: mean {fmean(ours):.3f} cm ({100.0 * (fmean(ours) / fmean(theirs) - 1.0):+.2f} %); "
-            f"flight by flight {', '.join(f'{a:+.2f}' for a in apart)} %"
-        )
+        apart = ", ".join(f"{100.0 * (a / b - 1.0):+.2f}" for a, b in zip(ours, theirs, strict=True))
+        more = 100.0 * (fmean(ours) / fmean(theirs) - 1.0)
+        print(f"{name}: mean {fmean(ours):.3f} cm ({more:+.2f} %); flight by flight {apart} %")
 
 
 if __name__ == "__main__":
-    torch.set_num_threads(1)
     main()

@@ -1,29 +1,19 @@
 """Question: does the test of feedback say what is so, are estimates by instruments right, and do intervals hold?
 
-A machine that turns about one axis under a rate controller, flown by NumPy at 1 kHz and logged at 100 Hz (no code of
-the package in it: tests/helpers/rate_loops.py). True gain 100 rad/s2; one run of a minute for each seed. The controller
-acts on the logged states, on sensors of its own, or at 1 kHz on sensors of its own; or inputs are played (open). The
-actuator has no lag, a lag of 40 ms that is declared, or the same lag undeclared.
-
-    closed, predictive   how often the loop is said to be closed, and inputs to know more than the log
-    gain, bias         mean estimate and its bias; 90 % intervals: mean half-width and how many hold the truth
-    sticks             the same with the logged stick as an instrument; how often its estimate is printed
-    others             a stick that answers the machine has to be refused, one that moves nothing must not be used
-
     python benchmarks/bench_feedback.py --seeds 30
-
-With --hexacopter: three flights of 45 s for each seed of a hexacopter with motor lag, drag and gusts, flown by sticks
-through a cascade (`blind/loop_flight.py`; controllers are its regimes a, b and c), true effects declared.
-
     python benchmarks/bench_feedback.py --hexacopter --seeds 5
+
+A machine that turns about one axis under a rate controller, flown by tests/helpers/rate_loops.py (no code of the
+package). The controller acts on the logged states, or on sensors of its own at 100 Hz or 1 kHz; or inputs are played
+(open). The actuator has no lag, one that is declared, or one that is not. With --hexacopter: three flights for each
+seed with motor lag, drag and gusts, by sticks through a cascade (`blind/loop_flight.py`), true effects declared.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from common import options, write_json
 from loop_flight import STICKS, Flight
 from loop_flight import fly as fly_multirotors
@@ -46,53 +36,49 @@ def main() -> None:
     parser = options(__doc__, seeds=30, first_seed=0, out=Path("bench_feedback.json"))
     parser.add_argument("--hexacopter", action="store_true", help="three axes instead of one")
     a = parser.parse_args()
-    torch.set_num_threads(1)
     seeds = range(a.first_seed, a.first_seed + a.seeds)
     if a.hexacopter:
-        write_json(
-            a.out, [hexacopters(c, regime, seeds) for c, regime in zip(CONTROLLERS, "abc", strict=False)]
-        )
+        kinds = zip(CONTROLLERS, "abc", strict=False)
+        write_json(a.out, [hexacopters(controller, regime, seeds) for controller, regime in kinds])
         return
     rows: list[dict[str, Any]] = []
     print(
-        "controller lag        | closed predictive |  gain bias%  +-  holds | sticks: gain bias%  +-  holds printed"
+        "controller lag        | closed predictive | without sticks: gain bias% +- holds | with sticks, printed"
     )
     for controller in CONTROLLERS:
         for name, (lag, told) in LAGS.items():
             rows.append({"controller": controller, "lag": name, **case(controller, seeds, lag, told)})
             r = rows[-1]
+            shares = f"{r['closed']:4.0%}   {r['predictive']:4.0%}   | {line(r['without'])}"
             print(
-                f"{controller:10s} {name:10s} |  {r['closed']:4.0%}   {r['predictive']:4.0%}   | "
-                f"{line(r['without'])} |   {line(r['sticks'])}  {r['printed']:4.0%}",
+                f"{controller:10s} {name:10s} |  {shares} |   {line(r['sticks'])}  {r['printed']:4.0%}",
                 flush=True,
             )
             write_json(a.out, rows)
-    moved = others(seeds)
-    print("; ".join(f"{k} {v:.0%}" for k, v in moved.items()))
-    write_json(a.out, [*rows, moved])
 
 
 def case(controller: str, seeds: range, lag: bool, told: bool) -> dict[str, Any]:
-    """Figures of one kind of flights."""
     system = RateLoop(effects=["actuator_lag"] if told else [])
     plain, sticks = [], []
     for runs in fly(controller, seeds=seeds, lag=lag):
         plain.append(identify_in_loop(system, runs))
-        sticks.append(
-            identify_in_loop(system, runs, instruments=["stick"]) if controller != "open" else plain[-1]
-        )
+        told = ["stick"] if controller != "open" else []
+        sticks.append(identify_in_loop(system, runs, instruments=told) if told else plain[-1])
     loops = [found.loop for found in plain]
     return {
-        "closed": float(np.mean([loop is not None and loop.closed for loop in loops])),
-        "predictive": float(np.mean([loop is not None and loop.predictive for loop in loops])),
+        "closed": share(loop is not None and loop.closed for loop in loops),
+        "predictive": share(loop is not None and loop.predictive for loop in loops),
         "without": figures(plain),
         "sticks": figures(sticks),
-        "printed": float(np.mean([by_instruments(found) for found in sticks])),
+        "printed": share(map(by_instruments, sticks)),
     }
 
 
+def share(some: Iterable[bool]) -> float:
+    return float(np.mean([*some]))
+
+
 def fly_hexacopters(regime: str, seeds: range) -> list[list[Run]]:
-    """Three flights by sticks for each seed."""
     effects = {"motor_lag": {"time_constant": 0.05}, "linear_drag": {"drag": (0.15, 0.15, 0.05)}}
     gust = (0.5, 0.5, 0.3, 3.0, 3.0, 0.3)
     machine = Machine("hexacopter", 4.6, 0.0, (108.0, 108.0, 3.4), (0.6, 0.6), effects, gust)
@@ -139,7 +125,6 @@ def figures(found: Sequence[Identification]) -> dict[str, float]:
     return {
         "gain": float(gains.mean()),
         "bias": float(gains.mean() / GAIN - 1.0),
-        "spread": float(gains.std()),
         "half_width": float(halves.mean()),
         "holds": float((np.abs(gains - GAIN) <= halves).mean()),
     }
@@ -151,30 +136,7 @@ def by_instruments(found: Identification) -> bool:
     return i is not None and found.loop is not None and bool(i.moved[0]) and adopted(i, found.loop)
 
 
-def others(seeds: range) -> dict[str, float]:
-    """Sticks that answer the machine, and signals that move nothing."""
-
-    def refused(runs: Sequence[Run], name: str) -> bool:
-        i = identify_in_loop(RateLoop(), runs, instruments=[name]).instrumented
-        return i is not None and name in i.refused
-
-    def used(runs: Sequence[Run]) -> bool:
-        i = identify_in_loop(RateLoop(), runs, instruments=["idle"]).instrumented
-        return i is not None and bool(i.moved.any())
-
-    out: dict[str, float] = {}
-    for controller in ("logged", "other"):
-        answering, free = fly(controller, seeds=seeds, pilot=True), fly(controller, seeds=seeds)
-        out[f"{controller}: sticks that answer refused"] = float(
-            np.mean([refused(r, "stick") for r in answering])
-        )
-        out[f"{controller}: free sticks refused"] = float(np.mean([refused(r, "stick") for r in free]))
-        out[f"{controller}: idle signal used"] = float(np.mean([used(r) for r in free]))
-    return out
-
-
 def line(f: dict[str, float]) -> str:
-    """One group of figures."""
     return f"{f['gain']:6.1f} {f['bias']:+5.0%} {f['half_width']:5.1f} {f['holds']:5.0%}"
 
 

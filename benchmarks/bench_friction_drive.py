@@ -10,12 +10,10 @@ Butterworth filter at 100 Hz, central differences, and every `--step` the states
     python benchmarks/bench_friction_drive.py --seed 1 --count 10
 """
 
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-import torch
-from common import Array, options
+from common import Array, head, line, options
 
 import nsde_torch
 from nsde_benchmarks.public.emps import PositioningDrive, filtered_log
@@ -23,12 +21,10 @@ from nsde_torch.recording import assemble
 
 STEP, CONTROL = 5e-5, 1e-3
 WITHIN = 0.02
+NONE = {"value": np.nan, "interval_90": None}
 
 
-@dataclass(frozen=True)
-class Truth:
-    """One drive."""
-
+class Truth(NamedTuple):
     mass: float  # [kg]
     viscous: float  # b [N s/m]
     dry: float  # c [N]
@@ -77,50 +73,40 @@ def recorded(truth: Truth, rng: np.random.Generator, seconds: float = 25.0) -> t
 
 def readings(found: Any) -> dict[str, tuple[float, float, float]]:
     """Value and ends of its interval of gain, viscous, dry friction and offset, over mass; nan where not named."""
-    out = {}
     declared = found.content()["declared_parameters"]
-    for name in ("force_gain", "viscous_friction.damping"):
-        p = declared[name]
-        out[name] = (p["value"], *(p["interval_90"] or (-np.inf, np.inf)))
+    out = {name: _ends(declared[name]) for name in ("force_gain", "viscous_friction.damping")}
     named = found.parameters
-    none = {"value": np.nan, "interval_90": None}
     two = [named.get(f"asymmetric_friction.size_{way}") for way in ("forward", "backward")]
     if two[0] and two[1]:
-        f, b = two[0], two[1]
-        value = {"dry": 0.5 * (f["value"] + b["value"]), "offset": 0.5 * (b["value"] - f["value"])}
-        half = [
-            0.5 * (p["interval_90"][1] - p["interval_90"][0]) if p["interval_90"] else np.inf for p in (f, b)
-        ]
-        wide = 0.5 * (half[0] + half[1])
-        return out | {k: (v, v - wide, v + wide) for k, v in value.items()}
-    dry = named.get("coulomb_friction.size", named.get("stribeck_friction.size", none))
-    push = named.get("constant_force.acceleration", none)
-    for key, p in (("dry", dry), ("offset", push)):
-        out[key] = (p["value"], *(p["interval_90"] or (-np.inf, np.inf)))
-    return out
+        (f, b), ends = (p["value"] for p in two), [p["interval_90"] for p in two]
+        wide = 0.5 * sum(0.5 * (e[1] - e[0]) if e else np.inf for e in ends)
+        return out | {
+            k: (v, v - wide, v + wide) for k, v in (("dry", 0.5 * (f + b)), ("offset", 0.5 * (b - f)))
+        }
+    dry = named.get("coulomb_friction.size", named.get("stribeck_friction.size", NONE))
+    push = named.get("constant_force.acceleration", NONE)
+    return out | {"dry": _ends(dry), "offset": _ends(push)}
+
+
+def _ends(p: Any) -> tuple[float, float, float]:
+    return p["value"], *(p["interval_90"] or (-np.inf, np.inf))
 
 
 def main() -> None:
     parser = options(__doc__, seed=1, count=10)
     parser.add_argument("--step", type=float, default=0.005, help="of the log that is diagnosed [s]")
     arguments = parser.parse_args()
-    torch.set_num_threads(1)
     right = within = held = told = 0
-    print(
-        "| drive | mass [kg] | found | 1/m | viscous | dry | offset | intervals that hold |\n"
-        + "|---" * 8
-        + "|"
-    )
+    head("drive", "mass [kg]", "found", "1/m", "viscous", "dry", "offset", "intervals that hold")
     for number in range(arguments.count):
         rng = np.random.default_rng((arguments.seed, number))
         truth = drawn(rng)
         run = filtered_log(*recorded(truth, rng), step=arguments.step)
-        found = nsde_torch.diagnose(
-            assemble([run], PositioningDrive(), kind="simulated"), system=PositioningDrive
-        )
+        log = assemble([run], PositioningDrive(), kind="simulated")
+        found = nsde_torch.diagnose(log, system=PositioningDrive)
         m = truth.mass
-        true = {"force_gain": 1 / m, "viscous_friction.damping": truth.viscous / m}
-        true |= {"dry": truth.dry / m, "offset": truth.offset / m}
+        own = {"viscous_friction.damping": truth.viscous, "dry": truth.dry, "offset": truth.offset}
+        true = {"force_gain": 1 / m, **{name: value / m for name, value in own.items()}}
         read = readings(found)
         off = {k: read[k][0] / v - 1 for k, v in true.items()}
         holds = [read[k][1] <= v <= read[k][2] for k, v in true.items() if np.isfinite(read[k][0])]
@@ -129,10 +115,10 @@ def main() -> None:
         told, held = told + len(holds), held + sum(holds)
         cells = [f"{e:+.1%}" if np.isfinite(e) else "not named" for e in off.values()]
         cells += [f"{sum(holds)} of {len(holds)}"]
-        print(f"| {number} | {m:.3g} | {', '.join(found.added)} | {' | '.join(cells)} |", flush=True)
+        print(line([number, f"{m:.3g}", ", ".join(found.added), *cells]), flush=True)
+    parameters = f"{within} of {4 * arguments.count} parameters within {WITHIN:.0%}"
     print(
-        f"\n{right} of {arguments.count} drives named in full and nothing else; {within} of "
-        f"{4 * arguments.count} parameters within {WITHIN:.0%}; {held} of {told} intervals hold"
+        f"\n{right} of {arguments.count} drives named in full and nothing else; {parameters}; {held} of {told} hold"
     )
 
 

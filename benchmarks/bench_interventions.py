@@ -3,14 +3,9 @@
     python benchmarks/bench_interventions.py --folder results/interventions --seeds 5
     python benchmarks/bench_interventions.py --folder results/of_seed_3 --models nsde sysid -- seed=3
 
-Models learn from the built-in flights of seed k (of the quadrotor, 100 + k), which a cascade flew in gusts. They are
-judged on 400 interventions on the same machine (`nsde simulate pilot=replay`, from states of the flights of a seed that
-is 1000 higher, which no model has seen): one second of commands of another time, independent of the state and of the
-gusts, the inputs before the start known. Beside them:
-
-    oracle   the true parameters and effects from the same noisy start, memory from the inputs before, no gusts,
-             Runge-Kutta 4 at a quarter of a sample: no model that starts from that measurement beats it but by luck
-    hold     the state stays as it is
+Models learn from the built-in flights of a seed, which a cascade flew in gusts, and are judged on interventions on the
+same machine from flights that no model has seen: one second of commands of another time, the inputs before the start
+known. `oracle` has the true parameters and effects from the same noisy start, and no gusts; `hold` stays as it is.
 
 A model is named by its kind, with `+effects` where the true effects of the machine are declared. Finished trainings are
 kept in the folder and not done again.
@@ -58,19 +53,14 @@ def data_of(system: str, *, seed: int, starts: int, folder: Path) -> DataSet:
 @torch.no_grad()
 def oracle(system: str, data: DataSet, horizons: Sequence[float] = HORIZONS) -> Errors:
     """Errors of the true machine without gusts, from the measured starts."""
-    plant = make_plant(
-        system,
-        generator=torch.Generator().manual_seed(0),
-        process_noise=0.0,
-        sensor_noise=0.0,
-        step=data.dt / 4,
-    )
+    quiet = {"process_noise": 0.0, "sensor_noise": 0.0}
+    plant = make_plant(system, generator=torch.Generator().manual_seed(0), step=data.dt / 4, **quiet)
     steps = {h: round(h / data.dt) for h in horizons}
     windows = Windows(data.runs, data.dt, max(steps.values()), dtype=torch.float64)
     starts = start_grid(windows)
     x, u, _ = windows.batch(starts)
     places = windows.locate(starts)
-    known = min(_rows_before(data, name, row) for name, row in places)
+    known = min(next(row - a for a, b in data[name].segments if a < row < b) for name, row in places)
     before = torch.stack([torch.tensor(data[name].u[row - known : row]) for name, row in places])
     first = torch.stack([torch.tensor(data[name].x[row - known]) for name, row in places])
     plant.reset(first, before[:, 0])
@@ -85,10 +75,6 @@ def oracle(system: str, data: DataSet, horizons: Sequence[float] = HORIZONS) -> 
     system = plant.system
     squares = [group_squares(system, system.error(path[k], x[:, k])) for k in steps.values()]
     return rms_by_group(system, torch.stack(squares, 1), [f"{h:g}" for h in steps])
-
-
-def _rows_before(data: DataSet, name: str, row: int) -> int:
-    return next(row - a for a, b in data[name].segments if a < row < b)
 
 
 def interventions(run_dir: Path, data: DataSet, particles: int) -> Json:
@@ -111,51 +97,41 @@ def interventions(run_dir: Path, data: DataSet, particles: int) -> Json:
     }
 
 
-def overrides(system: str, model: str, seed: int, further: Sequence[str]) -> list[str]:
-    """What `nsde train` is told."""
-    kind, plus, _ = model.partition("+")
-    effects = [f"system.effects=[{','.join(MACHINES[system].effects)}]"] if plus else []
-    return [f"system={system}", f"model={kind}", f"data.seed={seed}", *effects, *further]
-
-
 def table(rows: Sequence[Json], system: str) -> str:
     """Means and spreads over the seeds of one system, as Markdown."""
     mine = [r for r in rows if r["system"] == system]
-    names = list(dict.fromkeys(r["model"] for r in mine))
-    of = {name: [r for r in mine if r["model"] == name] for name in names}
+    of = {name: [r for r in mine if r["model"] == name] for name in dict.fromkeys(r["model"] for r in mine)}
     keys = [f"{h:g}" for h in HORIZONS]
 
-    def figures(part: str, some: Sequence[Json], group: str, h: str) -> Array:
-        return np.array([r[part][group][h] for r in some])
+    def figures(part: str, some: Sequence[Json], group: str) -> Array:
+        return np.array([[r[part][group][h] for h in keys] for r in some])
 
-    def spread(values: Array) -> str:
-        around = f" +- {values.std(ddof=1):.2g}" if len(values) > 1 else ""
-        return f"{values.mean():.3g}{around}"
+    def spread(values: Array) -> list[str]:
+        around = [f" +- {v:.2g}" for v in values.std(0, ddof=1)] if len(values) > 1 else [""] * len(keys)
+        return [f"{mean:.3g}{more}" for mean, more in zip(values.mean(0), around, strict=True)]
 
     errors, held = [], []
     for group, unit in GROUPS.items():
         for part in ("oracle", "hold"):
-            cells = [spread(figures(part, of[names[0]], group, h)) for h in keys]
-            errors.append((f"{group} [{unit}]", part, *cells))
+            errors.append((f"{group} [{unit}]", part, *spread(figures(part, next(iter(of.values())), group))))
         for name, some in of.items():
+            own = figures("errors", some, group)
+            ratios = [(own / figures("oracle", some, group)).mean(0)]
             like = of.get("sysid" + name[len(name.split("+")[0]) :], [])
-            cells = []
-            for h in keys:
-                own = figures("errors", some, group, h)
-                text = f"{spread(own)} (x {(own / figures('oracle', some, group, h)).mean():.2f}"
-                if len(like) == len(some) and like != some:
-                    text += f", x {(own / figures('errors', like, group, h)).mean():.2f}"
-                cells.append(text + ")")
+            if len(like) == len(some) and like != some:
+                ratios.append((own / figures("errors", like, group)).mean(0))
+            brackets = [", ".join(f"x {r:.2f}" for r in at) for at in zip(*ratios, strict=True)]
+            cells = [f"{text} ({ratio})" for text, ratio in zip(spread(own), brackets, strict=True)]
             errors.append((f"{group} [{unit}]", name, *cells))
             if some[0]["coverage_90"]:
-                shares = [f"{100 * figures('coverage_90', some, group, h).mean():.0f} %" for h in keys]
-                held.append((group, name, *shares))
+                shares = 100 * figures("coverage_90", some, group).mean(0)
+                held.append((group, name, *(f"{share:.0f} %" for share in shares)))
     times = [f"{h} s" for h in keys]
     count = len({r["seed"] for r in mine})
     lines = markdown((f"{system}, {count} seeds: rms error", "", *times), errors)
     lines += ["", "In brackets: ratio to the oracle, and to `sysid` with the same physics.", ""]
     lines += [*markdown(("90 % intervals hold", "", *times), held), ""]
-    return "\n".join([*lines, *markdown(("parameter", "truth", *names), _parameters(system, of)), ""])
+    return "\n".join([*lines, *markdown(("parameter", "truth", *of), _parameters(system, of)), ""])
 
 
 def _parameters(system: str, of: dict[str, list[Json]]) -> Iterator[Sequence[str]]:
@@ -175,28 +151,17 @@ def _parameters(system: str, of: dict[str, list[Json]]) -> Iterator[Sequence[str
 
 def main() -> None:
     parser = options(__doc__, seeds=5, first_seed=0, at_once=1)
-    parser.add_argument(
-        "--folder", type=Path, default=Path("results/interventions"), help="keeps data and runs"
-    )
+    parser.add_argument("--folder", type=Path, default=Path("results/interventions"), help="of data and runs")
     parser.add_argument("--systems", nargs="+", default=list(SYSTEMS), choices=SYSTEMS, help="machines")
-    parser.add_argument(
-        "--models",
-        nargs="+",
-        default=["nsde", "sysid", f"nsde{DECLARED}", f"sysid{DECLARED}"],
-        choices=[f"{k}{p}" for k in KINDS for p in ("", DECLARED)],
-        metavar="MODEL",
-        help=f"kinds of models, {', '.join(KINDS)}, each with or without {DECLARED}",
-    )
+    kinds = [f"{k}{p}" for k in KINDS for p in ("", DECLARED)]
+    usual = ["nsde", "sysid", f"nsde{DECLARED}", f"sysid{DECLARED}"]
+    parser.add_argument("--models", nargs="+", default=usual, choices=kinds, help="kinds of models")
     parser.add_argument("--starts", type=int, default=400, help="interventions for each seed")
     parser.add_argument("--particles", type=int, default=199, help="paths from each start")
     parser.add_argument(
-        "--json", type=Path, default=None, help="file for all figures; default: in the folder"
-    )
-    parser.add_argument(
-        "overrides", nargs="*", help="further overrides of nsde train; take another folder for them"
+        "overrides", nargs="*", help="further overrides of nsde train, in a folder of their own"
     )
     a = parser.parse_args()
-    torch.set_num_threads(1)
     folder = a.folder.resolve()
     jobs = {
         (system, seed, model): folder / "runs" / f"{system}_{seed}_{model}"
@@ -204,7 +169,12 @@ def main() -> None:
         for seed in range(FIRST_SEED[system] + a.first_seed, FIRST_SEED[system] + a.first_seed + a.seeds)
         for model in a.models
     }
-    train_all({run: overrides(s, m, k, a.overrides) for (s, k, m), run in jobs.items()}, at_once=a.at_once)
+    words = {}
+    for (system, seed, model), run in jobs.items():
+        kind, plus, _ = model.partition("+")
+        effects = [f"system.effects=[{','.join(MACHINES[system].effects)}]"] if plus else []
+        words[run] = [f"system={system}", f"model={kind}", f"data.seed={seed}", *effects, *a.overrides]
+    train_all(words, at_once=a.at_once)
     rows = []
     for (system, seed, model), run in jobs.items():
         data = data_of(system, seed=OTHER_FLIGHTS + seed, starts=a.starts, folder=folder)
@@ -212,8 +182,7 @@ def main() -> None:
         rows.append({"system": system, "seed": seed, "model": model, **found})
         at_1s = ", ".join(f"{g} {found['errors'][g]['1']:.3g} {unit}" for g, unit in GROUPS.items())
         print(f"{system} {seed} {model} at 1 s: {at_1s}", flush=True)
-        out = a.json or folder / "interventions.json"
-        write_json(out, rows)
+        write_json(folder / "interventions.json", rows)
     print()
     for system in a.systems:
         print(table(rows, system))

@@ -7,8 +7,6 @@ setpoints and ages of states at them, in both.
     python benchmarks/bench_link_fuzz.py --seconds 60 --rate 2000
 """
 
-from __future__ import annotations
-
 import multiprocessing
 import socket
 import time
@@ -56,16 +54,12 @@ def _vehicle(port: int, rate: float, stop: Any, sent: Any) -> None:
     sent.value = transport.sent
 
 
-def _port() -> int:
+def flight(seconds: float, rate: float) -> dict[str, Any]:
+    context = multiprocessing.get_context("spawn")
+    stop, sent = context.Event(), context.Value("q", 0)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
-def flight(seconds: float, rate: float) -> dict[str, Any]:
-    """Fly, and report."""
-    context = multiprocessing.get_context("spawn")
-    stop, sent, port = context.Event(), context.Value("q", 0), _port()
+        port = int(probe.getsockname()[1])
     process = context.Process(target=_vehicle, args=(port, rate, stop, sent), daemon=True)
     process.start()
     try:
@@ -87,12 +81,10 @@ def main() -> None:
     for name, rate in (("without", 0.0), ("with", arguments.rate)):
         r = flight(arguments.seconds, rate)
         gap, age = r["setpoint_gap_ms"], r["state_age_ms"]
-        print(
-            f"{name:8s} hostile {r['hostile']:7d}  tracked {r['tracked']}  RMSE {100 * (r['rmse_m'] or 0):.1f} cm  "
-            f"gaps [ms] p50 {gap['p50']:.2f} p99 {gap['p99']:.2f} p99.9 {gap['p99.9']:.2f} max {gap['max']:.1f}  "
-            f"ages [ms] p50 {age['p50']:.2f} p99 {age['p99']:.2f}  frames {r['frames']}",
-            flush=True,
-        )
+        gaps = " ".join(f"{key} {gap[key]:.2f}" for key in ("p50", "p99", "p99.9", "max"))
+        ages = " ".join(f"{key} {age[key]:.2f}" for key in ("p50", "p99"))
+        flown = f"hostile {r['hostile']:7d}  tracked {r['tracked']}  RMSE {100 * (r['rmse_m'] or 0):.1f} cm"
+        print(f"{name:8s} {flown}  gaps [ms] {gaps}  ages [ms] {ages}  frames {r['frames']}", flush=True)
 
 
 if __name__ == "__main__":

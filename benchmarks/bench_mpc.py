@@ -8,8 +8,6 @@ from the same cold start (hovering); `peers` has CasADi's other solvers beside i
 most 40 states. States are drawn along both references, off them by the errors that a flight has.
 """
 
-from __future__ import annotations
-
 import json
 import time
 from collections.abc import Sequence
@@ -18,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from common import options, write_json
+from common import options
 
 import nsde_torch
 from nsde_torch.control.autopilots import EstimatorOptions, PredictivePilot
@@ -50,9 +48,8 @@ def problems(horizon: Horizon, count: int) -> Problem:
     at = torch.cat((at[:, :6] + off[:, :6], turned(at[:, 6:10], off[:, 6:9]), at[:, 10:] + off[:, 9:]), 1)
     dtype = horizon.predictor.dtype
     last = hover_input(horizon.predictor).expand(len(at), -1).contiguous()
-    return Problem(
-        at.to(dtype), torch.stack(ref).to(dtype), last, at.new_zeros(len(at), horizon.nd).to(dtype)
-    )
+    nothing = at.new_zeros(len(at), horizon.nd).to(dtype)
+    return Problem(at.to(dtype), torch.stack(ref).to(dtype), last, nothing)
 
 
 PEERS: dict[str, tuple[str, dict[str, Any]]] = {
@@ -68,12 +65,9 @@ SQP = {"print_header": False, "print_iteration": False, "print_status": False}
 
 
 class Peer:
-    """The problem in CasADi, by one of its solvers: multiple shooting, stage after stage, as fatrop and HPIPM have it.
+    """The problem in CasADi, by one of `PEERS`: multiple shooting, stage after stage, as fatrop and HPIPM have it.
 
-    Args:
-        horizon: Ours.
-        name: Of `PEERS`.
-        iterations: At most so many of SQP's; None: until it converges.
+    Of SQP at most some `iterations`, or until it converges.
     """
 
     def __init__(self, horizon: Horizon, name: str = "ipopt", iterations: int | None = None) -> None:
@@ -102,9 +96,8 @@ class Peer:
         if method == "sqpmethod":
             # of Gauss and Newton, as ours: the exact Hessian is indefinite here, and made definite it takes 50 steps
             slope, f, lam = ca.jacobian(rest, x), ca.SX.sym("f"), ca.SX.sym("lam", g.shape[0])
-            hessian = ca.Function(
-                "curvature", [x, given, f, lam], [2 * f * slope.T @ slope], HESSIAN, ["hess_gamma_x_x"]
-            )
+            curved = [2 * f * slope.T @ slope]
+            hessian = ca.Function("curvature", [x, given, f, lam], curved, HESSIAN, ["hess_gamma_x_x"])
             options |= SQP | {"max_iter": iterations or 50, "hess_lag": hessian}
             options["qpsol_options"] = {**own.get("qpsol_options", {}), "error_on_fail": False}
         if method == "fatrop":
@@ -181,12 +174,17 @@ class Peer:
         return float(found["f"]), seconds, bool(self.solver.stats()["success"]), u
 
 
-def peers(model: Any, count: int) -> dict[str, Any]:
-    """Cost above the optimum against time: ours by iteration, and CasADi's solvers, from the same cold starts."""
+def cold_starts(model: Any, count: int) -> tuple[Horizon, Problem, torch.Tensor, torch.Tensor]:
+    """The horizon, some problems, and the inputs and paths from which solvers start: hovering."""
     horizon = Horizon(Predictor(model, dt=0.05, dtype=torch.float64), ProblemOptions())
     given = problems(horizon, count)
     start = given.last[:, None].repeat(1, horizon.steps, 1)
-    paths = horizon.rollout(given.z0, start, given.d)
+    return horizon, given, start, horizon.rollout(given.z0, start, given.d)
+
+
+def peers(model: Any, count: int) -> dict[str, Any]:
+    """Cost above the optimum against time: ours by iteration, and CasADi's solvers, from the same cold starts."""
+    horizon, given, start, paths = cold_starts(model, count)
 
     def costs(plans: Sequence[np.ndarray]) -> Any:
         u = torch.tensor(np.stack(plans)).clamp(0.0, 1.0)
@@ -211,38 +209,26 @@ def peers(model: Any, count: int) -> dict[str, Any]:
             seconds.append(min(f.seconds for f in found))
         tried[f"ours, {iterations} iterations"] = costs(plans), seconds, 0
     best = np.min([np.where(np.isfinite(c), c, np.inf) for c, _, _ in tried.values()], axis=0)
-    return {
-        label: {
-            "ms_p50": 1e3 * float(np.median(seconds)),
-            "ms_max": 1e3 * float(np.max(seconds)),
-            "over_best_median": float(np.median(cost / best - 1.0)),
-            "over_best_max": float(np.max(cost / best - 1.0)),
-            "not_converged": failed,
-        }
-        for label, (cost, seconds, failed) in tried.items()
-    }
+    out = {}
+    for label, (cost, seconds, failed) in tried.items():
+        ms, over = 1e3 * np.array(seconds), cost / best - 1.0
+        found = {"ms_p50": np.median(ms), "ms_max": ms.max(), "over_best_median": np.median(over)}
+        out[label] = {**found, "over_best_max": over.max(), "not_converged": failed}
+    return out
 
 
 def optimality(model: Any, count: int) -> dict[str, Any]:
     """Costs of both solvers over IPOPT's, by iteration."""
-    horizon = Horizon(Predictor(model, dt=0.05, dtype=torch.float64), ProblemOptions())
-    given = problems(horizon, count)
+    horizon, given, start, paths = cold_starts(model, count)
     peer = Peer(horizon)
-    start = given.last[:, None].repeat(1, horizon.steps, 1)
     rows = [peer.solve(given, k, start[k].numpy()) for k in range(len(start))]
     u = torch.tensor(np.stack([r[3] for r in rows])).clamp(0.0, 1.0)
     # judged by one function: IPOPT's inputs rolled out through our model
     best = horizon.cost(horizon.rollout(given.z0, u, given.d), u, given.ref, given.last)
     same = np.abs(np.array([r[0] for r in rows]) / best.numpy() - 1.0)
-    out: dict[str, Any] = {
-        "states": count,
-        "ipopt": {
-            "failed": sum(not r[2] for r in rows),
-            "cost_disagreement_max": float(same.max()),
-            "seconds_p50": float(np.median([r[1] for r in rows])),
-        },
-    }
-    paths = horizon.rollout(given.z0, start, given.d)
+    failed, seconds = sum(not r[2] for r in rows), float(np.median([r[1] for r in rows]))
+    ipopt = {"failed": failed, "cost_disagreement_max": float(same.max()), "seconds_p50": seconds}
+    out: dict[str, Any] = {"states": count, "ipopt": ipopt}
     for name, iterations in ITERATIONS.items():
         options = SolverOptions(name=name, iterations=iterations, tolerance=0.0, compile="off")
         found = Solver(horizon, options, batch=count).solve(given, start, paths)
@@ -251,10 +237,8 @@ def optimality(model: Any, count: int) -> dict[str, Any]:
         shown = sorted({*range(0, 13), 25, 50, 100, 200, 400, 800, iterations} & set(range(len(over))))
         out[name] = {
             "monotone": bool((costs.diff(dim=0) <= 1e-9 * costs[1:]).all()),
-            "over_ipopt_max": float(over[-1].max()),
-            "over_ipopt_median": float(np.median(over[-1])),
-            "over_ipopt_by_iteration": {
-                str(k): [float(np.median(over[k])), float(over[k].max())] for k in shown
+            "over_ipopt_median_and_max": {
+                k: [float(np.median(over[k])), float(over[k].max())] for k in shown
             },
         }
     return out
@@ -265,20 +249,12 @@ def closed_loop(model: Any, seconds: float, solver: SolverOptions) -> dict[str, 
     reference = Reference(lemniscate())
     plant = make_plant("hexacopter", generator=torch.Generator().manual_seed(0), latency=0.02, check=False)
     controller = Controller(model, solver=solver, say=print)
-    pilot = PredictivePilot(
-        controller,
-        model,
-        reference,
-        period=0.02,
-        sample=plant.dt,
-        estimator=EstimatorOptions(latency=0.04, force_time=0.0),
-    )
+    estimator = EstimatorOptions(latency=0.04, force_time=0.0)
+    how: dict[str, Any] = {"period": 0.02, "sample": plant.dt, "estimator": estimator}
+    pilot = PredictivePilot(controller, model, reference, **how)
     solve, over = controller.solver.solve, []
-    exact = Solver(
-        controller.horizon,
-        SolverOptions(iterations=15, tolerance=0.0, compile="off"),
-        clock=time.perf_counter,
-    )
+    to_the_end = SolverOptions(iterations=15, tolerance=0.0, compile="off")
+    exact = Solver(controller.horizon, to_the_end, clock=time.perf_counter)
     count = 0
 
     def watched(problem: Problem, u: torch.Tensor, z: torch.Tensor) -> Any:
@@ -293,42 +269,28 @@ def closed_loop(model: Any, seconds: float, solver: SolverOptions) -> dict[str, 
     flight = fly(pilot, plant, reference, duration=seconds)
     found = summarise([flight], controller.predictor.system)
     keys = ("rmse_m", "altitude_error_max_m", "solve_ms", "command_ms", "iterations_mean", "status")
-    return {
-        **{k: found[k] for k in keys},
-        "over_optimum_p50": float(np.median(over)),
-        "over_optimum_p99": float(np.percentile(over, 99)),
-        "over_optimum_max": float(np.max(over)),
-    }
+    middle, high, most = np.percentile(over, (50, 99, 100)).tolist()
+    above = {"over_optimum_p50": middle, "over_optimum_p99": high, "over_optimum_max": most}
+    return {**{k: found[k] for k in keys}, **above}
 
 
 def main() -> None:
-    parser = options(__doc__, out=None)
+    parser = options(__doc__)
     parser.add_argument("run", type=Path)
     parser.add_argument("--states", type=int, default=200)
     parser.add_argument("--seconds", type=float, default=40.0)
     parser.add_argument("--only", choices=("optimality", "peers", "loop"), default=None)
-    parser.add_argument("--solvers", nargs="*", default=list(ITERATIONS))
     given = parser.parse_args()
-    torch.set_num_threads(1)
     model = nsde_torch.load(given.run)
-    out: dict[str, Any] = {}
-    if given.only in (None, "optimality"):
-        with torch.no_grad():
-            out["optimality"] = optimality(model, given.states)
-        print(json.dumps(out["optimality"], indent=1), flush=True)
-    if given.only in (None, "peers"):
-        with torch.no_grad():
-            out["peers"] = peers(model, min(given.states, 40))
-        for label, row in out["peers"].items():
-            print(f"{label:24s}", "  ".join(f"{k} {v:.3g}" for k, v in row.items()), flush=True)
-    if given.only in (None, "loop"):
-        loops = {"gauss_newton": SolverOptions(compile="on", iterations=5, tolerance=5e-3)}
-        loops["apg"] = SolverOptions(name="apg", compile="on", iterations=20, tolerance=5e-3)
-        for name in given.solvers:
-            out[name] = closed_loop(model, given.seconds, loops[name])
-            print(name, json.dumps(out[name], indent=1), flush=True)
-    if given.out is not None:
-        write_json(given.out, out)
+    with torch.no_grad():
+        if given.only in (None, "optimality"):
+            print(json.dumps(optimality(model, given.states), indent=1), flush=True)
+        if given.only in (None, "peers"):
+            for label, row in peers(model, min(given.states, 40)).items():
+                print(f"{label:24s}", "  ".join(f"{k} {v:.3g}" for k, v in row.items()), flush=True)
+    for name, iterations in (("gauss_newton", 5), ("apg", 20)) if given.only in (None, "loop") else ():
+        solver = SolverOptions(name=name, compile="on", iterations=iterations, tolerance=5e-3)
+        print(name, json.dumps(closed_loop(model, given.seconds, solver), indent=1), flush=True)
 
 
 if __name__ == "__main__":

@@ -8,14 +8,8 @@ the open-loop errors, with the declared physics alone and with what was found. B
 faults of the recording chain undone that the other two showed.
 """
 
-from __future__ import annotations
-
-import os
 from pathlib import Path
 from typing import Any
-
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 import torch
@@ -46,10 +40,8 @@ def fold(data: Any, system: System, out: int) -> dict[str, Any]:
     test = found.recorded.like(data.runs[out], system)
     content = found.content()
     return {
+        **{key: content[key] for key in ("verdict", "added", "parameters")},
         "flight": data.runs[out].name,
-        "verdict": content["verdict"],
-        "added": content["added"],
-        "parameters": content["parameters"],
         "residual": rates(found, test),
         "errors": errors(found, spec, test),
         "seconds": sum(found.seconds.values()),
@@ -85,6 +77,14 @@ def errors(found: Diagnosis, spec: SysidSpec, test: Run) -> dict[str, dict[str, 
     return out
 
 
+def value_of(p: Any) -> str:
+    """A parameter with its interval, where there are any."""
+    if p is None:
+        return "-"
+    ends = p["interval_90"]
+    return f"{p['value']:.3g}" + (f" [{ends[0]:.3g}, {ends[1]:.3g}]" if ends else "")
+
+
 def show(results: list[dict[str, Any]]) -> None:
     """Print what was found in each fold, and the means over folds."""
     for r in results:
@@ -92,34 +92,25 @@ def show(results: list[dict[str, Any]]) -> None:
     names = sorted({n for r in results for n in r["parameters"]})
     print("\nparameter: value [90 % interval] without each flight in turn")
     for name in names:
-        cells = []
-        for r in results:
-            p = r["parameters"].get(name)
-            if p is None:
-                cells.append("-")
-            elif p["interval_90"] is None:
-                cells.append(f"{p['value']:.3g}")
-            else:
-                cells.append(f"{p['value']:.3g} [{p['interval_90'][0]:.3g}, {p['interval_90'][1]:.3g}]")
-        print(f"  {name}: {' | '.join(cells)}")
+        print(f"  {name}: {' | '.join(value_of(r['parameters'].get(name)) for r in results)}")
+
+    def means(pairs: list[list[float]]) -> Any:
+        return np.sqrt(np.square(pairs).mean(0))
+
     print("\nresidual on the flight held out, rms: declared -> with what was found, mean of folds")
     for channel in results[0]["residual"]:
-        one, two = np.sqrt(np.square([r["residual"][channel] for r in results]).mean(0))
+        one, two = means([r["residual"][channel] for r in results])
         print(f"  {channel}: {one:.3g} -> {two:.3g}")
     print("\nopen-loop errors on the flight held out: ratio by horizon [s]")
-    for group in results[0]["errors"]:
-        cells = []
-        for h in results[0]["errors"][group]:
-            one, two = np.sqrt(np.square([r["errors"][group][h] for r in results]).mean(0))
-            cells.append(f"{h}: x{two / one:.2f}")
-        print(f"  {group}: {', '.join(cells)}")
+    for group, by in results[0]["errors"].items():
+        pairs = {h: means([r["errors"][group][h] for r in results]) for h in by}
+        print(f"  {group}: {', '.join(f'{h}: x{two / one:.2f}' for h, (one, two) in pairs.items())}")
 
 
 def main() -> None:
     parser = options(__doc__, out=Path("results/published_diagnosis"))
     parser.add_argument("--data", type=Path, required=True, help="trajs.pkl of the published hexacopter")
     a = parser.parse_args()
-    torch.set_num_threads(1)
     system = make_system("hexacopter")
     data = read("published", system, path=str(a.data))
     a.out.mkdir(parents=True, exist_ok=True)

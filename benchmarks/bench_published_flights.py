@@ -36,8 +36,7 @@ def main() -> None:
     metrics = {key: read_json(folder / "metrics.json") for key, folder in cases.items()}
     errors: dict[str, list[list[float]]] = {}
     cover: dict[str, list[list[float]]] = {}
-    for key in cases:
-        test = metrics[key]["test"]
+    for test in (metrics[key]["test"] for key in cases):
         for h in (f"{h:g}" for h in test["horizons_s"]):
             errors.setdefault(h, []).append([test["errors"]["model"][g][h] for g in GROUPS])
             cover.setdefault(h, []).append([test["coverage"]["0.9"][g][h] for g in GROUPS])
@@ -48,20 +47,15 @@ def main() -> None:
     for h, rows in errors.items():
         table = np.array(rows).reshape(len(a.folds), len(a.seeds), 4)
         mean, spread = table.mean((0, 1)), table.mean(0).std(0)
-        ratio = mean / np.array(AUTHORS[h]) if h in AUTHORS else None
-        cells = [
-            f"{g} {mean[i]:.3f} ({spread[i]:.3f})" + (f" x{ratio[i]:.2f}" if ratio is not None else "")
-            for i, g in enumerate(GROUPS)
-        ]
-        print(f"{h:>5} s  " + "   ".join(cells))
+        told = [f"{g} {mean[i]:.3f} ({spread[i]:.3f})" for i, g in enumerate(GROUPS)]
+        if h in AUTHORS:
+            told = [f"{t} x{r:.2f}" for t, r in zip(told, mean / np.array(AUTHORS[h]), strict=True)]
+        print(f"{h:>5} s  " + "   ".join(told))
     print("share of measurements inside the 90 % intervals: mean over flights and seeds")
     for h, rows in cover.items():
         mean = np.array(rows).mean(0)
-        print(
-            f"{h:>5} s  "
-            + "   ".join(f"{g} {v:.3f}" for g, v in zip(GROUPS, mean, strict=True))
-            + f"   all {mean.mean():.3f}"
-        )
+        told = [f"{g} {v:.3f}" for g, v in zip(GROUPS, mean, strict=True)]
+        print(f"{h:>5} s  {'   '.join(told)}   all {mean.mean():.3f}")
 
 
 if __name__ == "__main__":

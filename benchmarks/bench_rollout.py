@@ -1,25 +1,21 @@
 """Question: how fast are rollouts of a neural SDE, and their gradients, against torchsde on the same work?
 
-The equation is this project's hexacopter model (13 states and 3 of disturbance, rigid body, two residual networks
-tanh 8-16, distance swish 32-32). Both libraries integrate the same drift and diffusion with the same method on the
-same Brownian increments, inputs and first states, float32, 20 steps, and must give the same trajectories, which
-is checked before anything is timed. torchsde is used through `sdeint`, with a Brownian motion that hands out the
-given increments (so that drawing noise costs neither side anything). torchsde has no projection: the comparison
-leaves it out on both sides, and the columns "as used" are ours with it. `eager` is our rollout without
-compilation. Functions take turns and the minimum over the repetitions counts, because the machine is shared.
+    python benchmarks/bench_rollout.py --threads 1
 
-    python benchmarks/bench_rollout.py --threads 1 --out bench_rollout.json
+Both integrate the drift and diffusion of the hexacopter's model with the same method on the same increments, inputs and
+first states, float32, 20 steps, and must give the same trajectories, which is checked before anything is timed.
+torchsde gets the increments as its Brownian motion; it has no projection, which is left out on both sides. `eager` is
+our rollout without compilation. Functions take turns, and the shortest time counts.
 """
 
-import math
 import os
-import statistics
 import time
 from collections.abc import Callable
+from itertools import product
 
 import torch
 import torchsde
-from common import options, write_json
+from common import options
 from torch import Tensor, nn
 
 from nsde_torch.models import NeuralSDE, SDESpec
@@ -127,7 +123,6 @@ def minima(repeats: int, *functions: Callable[[], object]) -> list[float]:
 def measure(
     name: str, batch: int, *, steps: int, dt: float, repeats: int, gradient: bool
 ) -> dict[str, object]:
-    """One row of the table."""
     spec = SDESpec("hexacopter", dt=dt, horizon=steps, step=name, disturbance=True)
     model = NeuralSDE(spec, generator=torch.Generator().manual_seed(0))
     plain, step = Unprojected(model), make_step(name)
@@ -136,8 +131,8 @@ def measure(
     theirs, times = Theirs(model, calculus, u, dt), torch.linspace(0.0, steps * dt, steps + 1)
     motion = Increments(noise[0].transpose(0, 1).contiguous(), dt)
 
-    def ours(sde: nn.Module, compile: bool) -> Tensor:
-        return rollout(sde, z0, u, dt=dt, step=step, noise=noise, compile=compile, check=False)[0]
+    def ours(compile: bool) -> Tensor:
+        return rollout(plain, z0, u, dt=dt, step=step, noise=noise, compile=compile, check=False)[0]
 
     def other() -> Tensor:
         path = torchsde.sdeint(theirs, z0, times, bm=motion, method=method, dt=dt, options=dict(options))
@@ -145,70 +140,40 @@ def measure(
 
     def run(function: Callable[[], Tensor]) -> Callable[[], Tensor]:
         def once() -> Tensor:
-            if not gradient:
-                with torch.no_grad():
-                    return function()
-            model.zero_grad(set_to_none=True)
-            path = function()
-            path.square().mean().backward()
-            return path.detach()
+            with torch.set_grad_enabled(gradient):
+                model.zero_grad(set_to_none=True)
+                path = function()
+                if gradient:
+                    path.square().mean().backward()
+                return path.detach()
 
         return once
 
-    compiled, eager = run(lambda: ours(plain, True)), run(lambda: ours(plain, False))
-    peer, as_used = run(other), run(lambda: ours(model, True))
-    reference = peer()
-    difference = 0.0
+    compiled, eager, peer = run(lambda: ours(True)), run(lambda: ours(False)), run(other)
     for path in (compiled(), eager()):  # the same answer, to float32 accuracy
-        torch.testing.assert_close(path, reference, rtol=1e-4, atol=1e-5)
-        difference = max(difference, float((path - reference).abs().max()))
-    fast_s, slow_s, peer_s, used_s = minima(repeats, compiled, eager, peer, as_used)
-    return {
-        "step": name,
-        "batch": batch,
-        "pass": "gradient" if gradient else "forward",
-        "torchsde_ms": 1e3 * peer_s,
-        "eager_ms": 1e3 * slow_s,
-        "compiled_ms": 1e3 * fast_s,
-        "ratio": peer_s / fast_s,
-        "as_used_ms": 1e3 * used_s,
-        "million_steps_per_s": batch * steps / used_s / 1e6,
-        "largest_difference": difference,
-        "load": os.getloadavg()[0],
-    }
+        torch.testing.assert_close(path, peer(), rtol=1e-4, atol=1e-5)
+    fast_s, slow_s, peer_s = minima(repeats, compiled, eager, peer)
+    kind = "gradient" if gradient else "forward"
+    times_ms = {"torchsde_ms": 1e3 * peer_s, "eager_ms": 1e3 * slow_s, "compiled_ms": 1e3 * fast_s}
+    times_ms["ratio"] = peer_s / fast_s
+    return {"step": name, "batch": batch, "pass": kind, **times_ms, "load": os.getloadavg()[0]}
 
 
 def main() -> None:
-    parser = options(__doc__, repeats=20, threads=1, out=None)
+    parser = options(__doc__, repeats=20, threads=1)
     parser.add_argument("--batch", type=int, nargs="+", default=[32, 512, 4096], help="rows")
-    parser.add_argument("--step", nargs="+", default=list(TORCHSDE), choices=list(TORCHSDE), help="methods")
-    parser.add_argument("--steps", type=int, default=20, help="steps of a rollout")
-    parser.add_argument("--dt", type=float, default=0.05, help="step [s]")
     a = parser.parse_args()
     torch.set_num_threads(a.threads)
-    head = f"{'step':<15}{'batch':>6}{'pass':>9}{'torchsde':>12}{'eager':>10}{'compiled':>10}{'ratio':>7}"
-    print(f"{head}{'as used':>12}{'M steps/s':>11}{'load':>6}")
-    rows = []
-    for name in a.step:
-        for gradient in (False, True):
-            for batch in a.batch:
-                given = {"steps": a.steps, "dt": a.dt, "repeats": a.repeats, "gradient": gradient}
-                r = measure(name, batch, **given)
-                rows.append(r)
-                print(
-                    f"{name:<15}{batch:>6}{r['pass']:>9}{r['torchsde_ms']:>9.1f} ms{r['eager_ms']:>7.1f} ms"
-                    f"{r['compiled_ms']:>7.1f} ms{r['ratio']:>7.1f}{r['as_used_ms']:>9.1f} ms"
-                    f"{r['million_steps_per_s']:>11.2f}{r['load']:>6.1f}",
-                    flush=True,
-                )
-    for kind in ("forward", "gradient"):
-        ratios = [float(str(r["ratio"])) for r in rows if r["pass"] == kind]
-        mean = math.exp(statistics.fmean(math.log(ratio) for ratio in ratios))
-        span = f"{min(ratios):.1f} to {max(ratios):.1f}"
-        print(f"{kind}: torchsde takes {span} times as long, geometric mean {mean:.1f}")
-    if a.out:
-        machine = {"torch": torch.__version__, "threads": a.threads, "cores": os.cpu_count()}
-        write_json(a.out, {**machine, "steps": a.steps, "dt_s": a.dt, "rows": rows})
+    print(
+        f"{'step':<15}{'batch':>6}{'pass':>9}{'torchsde':>12}{'eager':>10}{'compiled':>10}{'ratio':>7}{'load':>6}"
+    )
+    for name, gradient, batch in product(TORCHSDE, (False, True), a.batch):
+        r = measure(name, batch, steps=20, dt=0.05, repeats=a.repeats, gradient=gradient)
+        print(
+            f"{name:<15}{batch:>6}{r['pass']:>9}{r['torchsde_ms']:>9.1f} ms{r['eager_ms']:>7.1f} ms"
+            f"{r['compiled_ms']:>7.1f} ms{r['ratio']:>7.1f}{r['load']:>6.1f}",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":

@@ -9,8 +9,6 @@ computing time of all processes of the page, and what was found; `--pictures` wr
 Needs the extra `serve`, selenium, and Debian's chromium and chromium-driver.
 """
 
-from __future__ import annotations
-
 import os
 import resource
 import subprocess
@@ -41,11 +39,10 @@ def wait(driver: Any, css: str, started: float) -> tuple[Any, float]:
 
 def picture(driver: Any, folder: Path | None, name: str, css: str = "body") -> None:
     """Save what the window shows, from the top of an element on."""
-    if folder is None:
-        return
-    driver.execute_script("document.querySelector(arguments[0]).scrollIntoView()", css)
-    time.sleep(1.0)
-    driver.save_screenshot(str(folder / name))
+    if folder is not None:
+        driver.execute_script("document.querySelector(arguments[0]).scrollIntoView()", css)
+        time.sleep(1.0)
+        driver.save_screenshot(str(folder / name))
 
 
 def use(driver: Any, address: str, flights: list[Path], pictures: Path | None) -> None:

@@ -8,13 +8,10 @@ smoothed log as `nsde_torch.read` restores it. A parameter is right within 5 % o
 holds the truth; otherwise it is confidently wrong.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np
-import torch
-from common import Array, Json, line, markdown, options, write_json
+from common import Array, Json, head, line, options
 from scipy.interpolate import make_smoothing_spline
 from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 from scipy.signal import bessel, butter, savgol_filter, sosfilt, sosfilt_zi, sosfiltfilt
@@ -24,48 +21,35 @@ import nsde_torch
 from nsde_torch.data import DataSet, RawRun
 from nsde_torch.errors import NonFiniteError
 from nsde_torch.sysid.identify import identify_in_loop
-from nsde_torch.systems import make_system
+from nsde_torch.systems import System, make_system
 
 Filter = Callable[[Array, float, float], Array]
 """Columns (n, C), a cut-off [Hz], a step [s]."""
 
 
-def _sos(order: int, cut: float, dt: float) -> Array:
-    return np.asarray(butter(order, min(cut, 0.45 / dt), fs=1 / dt, output="sos"))
+def _twice(order: int, design: Callable[..., Array] = butter) -> Filter:
+    def smooth(x: Array, cut: float, dt: float) -> Array:
+        return np.asarray(sosfiltfilt(design(order, min(cut, 0.45 / dt), fs=1 / dt, output="sos"), x, axis=0))
 
-
-def _twice(order: int) -> Filter:
-    return lambda x, cut, dt: np.asarray(sosfiltfilt(_sos(order, cut, dt), x, axis=0))
+    return smooth
 
 
 def _once(x: Array, cut: float, dt: float) -> Array:
-    sos = _sos(2, cut, dt)
+    sos = butter(2, min(cut, 0.45 / dt), fs=1 / dt, output="sos")
     zi = sosfilt_zi(sos)
     return np.stack([sosfilt(sos, c, zi=zi * c[0])[0] for c in x.T], 1)
-
-
-def _bessel(x: Array, cut: float, dt: float) -> Array:
-    sos = bessel(3, min(cut, 0.45 / dt), fs=1 / dt, output="sos")
-    return np.asarray(sosfiltfilt(sos, x, axis=0))
-
-
-def _gaussian(x: Array, cut: float, dt: float) -> Array:
-    return np.asarray(gaussian_filter1d(x, 0.187 / (cut * dt), axis=0, mode="nearest"))
 
 
 def _mean(x: Array, cut: float, dt: float) -> Array:
     return np.asarray(uniform_filter1d(x, max(3, round(0.443 / (cut * dt)) | 1), axis=0, mode="nearest"))
 
 
-def _savgol(order: int) -> Filter:
-    return lambda x, cut, dt: np.asarray(
-        savgol_filter(x, max(order + 3, round((order + 1) / (3.2 * cut * dt))) | 1, order, axis=0)
-    )
+def _savgol(x: Array, cut: float, dt: float) -> Array:
+    return np.asarray(savgol_filter(x, max(6, round(4 / (3.2 * cut * dt))) | 1, 3, axis=0))
 
 
 def _spline(x: Array, cut: float, dt: float) -> Array:
-    rows = np.arange(len(x), dtype=np.float64)
-    penalty = (2 * np.pi * cut * dt) ** -4.0
+    rows, penalty = np.arange(len(x), dtype=np.float64), (2 * np.pi * cut * dt) ** -4.0
     return np.stack([make_smoothing_spline(rows, c, lam=penalty)(rows) for c in x.T], 1)
 
 
@@ -75,10 +59,10 @@ FILTERS: dict[str, Filter] = {
     "Butterworth 6, zero-phase": _twice(6),
     "exponential, zero-phase": _twice(1),
     "Butterworth 2, causal": _once,
-    "Bessel 3, zero-phase": _bessel,
-    "Gaussian": _gaussian,
+    "Bessel 3, zero-phase": _twice(3, bessel),
+    "Gaussian": lambda x, cut, dt: gaussian_filter1d(x, 0.187 / (cut * dt), axis=0, mode="nearest"),
     "moving average": _mean,
-    "Savitzky-Golay 3": _savgol(3),
+    "Savitzky-Golay 3": _savgol,
     "smoothing spline": _spline,
 }
 MACHINES: dict[str, tuple[tuple[str, ...], float]] = {
@@ -93,13 +77,11 @@ HOW = ("raw", "kept", "restored")
 
 
 def truths(truth: Json) -> dict[str, float]:
-    """True values by label."""
     effects = {effect: e["parameters"] for effect, e in truth["effects"].items()}
     return {name: p["value"] for name, p in truth["declared"].items()} | dict(labelled(effects))
 
 
 def judged(machine: str, data: DataSet, true: dict[str, float]) -> Json:
-    """Errors of the parameters of one log."""
     system = make_system(machine, effects=list(MACHINES[machine][0]))
     try:
         found = identify_in_loop(system, data.runs, clock=data.clock_scale)
@@ -110,45 +92,35 @@ def judged(machine: str, data: DataSet, true: dict[str, float]) -> Json:
     for label, value, width in zip(found.vector.labels, found.values.tolist(), half.tolist(), strict=True):
         error = abs(value - true[label])
         held = np.isnan(width) or error <= width  # nan: no interval is given
-        out[label] = {
-            "relative": error / abs(true[label]),
-            "held": bool(held),
-            "half_width": width / abs(true[label]),
-        }
+        out[label] = {"relative": error / abs(true[label]), "held": bool(held)}
     return {"parameters": out, "settled": found.converged}
 
 
 def smoothed(
-    runs: Sequence[RawRun], columns: Sequence[int], quaternion: slice | None, smooth: Callable[[Array], Array]
+    runs: Sequence[RawRun], system: System, columns: list[int], smooth: Filter, *to: float
 ) -> list[RawRun]:
-    """Runs with some states smoothed."""
     out = []
     for run in runs:
         x = run.x.copy()
-        x[:, list(columns)] = smooth(x[:, list(columns)])
-        if quaternion is not None:
-            x[:, quaternion] /= np.linalg.norm(x[:, quaternion], axis=1, keepdims=True)
+        x[:, columns] = smooth(x[:, columns], *to)
+        if system.quaternion is not None:
+            x[:, system.quaternion] /= np.linalg.norm(x[:, system.quaternion], axis=1, keepdims=True)
         out.append(RawRun(run.name, run.t, x, run.u, dict(run.extra), run.source))
     return out
 
 
 def wrong(one: Json) -> list[str]:
-    """Parameters that are confidently wrong."""
     return [k for k, p in one["parameters"].items() if p["relative"] > 0.05 and not p["held"]]
 
 
 def main() -> None:
-    parser = options(__doc__, seed=1, out=None)
-    parser.add_argument("--machines", nargs="*", default=list(MACHINES), choices=list(MACHINES))
-    given = parser.parse_args()
-    torch.set_num_threads(1)
+    given = options(__doc__, seed=1).parse_args()
     rng = np.random.default_rng(given.seed)
     results = []
     worst = [f"{how}: worst" for how in HOW]
-    head = ("machine", "smoothed", "smoother", "cut-off [Hz]", "found", *worst)
-    print("\n".join(markdown((*head, "confidently wrong: raw, kept, restored"), [])))
-    for machine in given.machines:
-        effects, seconds = MACHINES[machine]
+    about = ("machine", "smoothed", "smoother", "cut-off [Hz]", "found")
+    head(*about, *worst, "confidently wrong: raw, kept, restored")
+    for machine, (effects, seconds) in MACHINES.items():
         told = machine in ("hexacopter", "quadrotor")
         made = nsde_torch.simulate(machine, durations=[seconds] * 2, seed=given.seed, declared_only=not told)
         true, dt = truths(made.truth), float(made.truth["dt_s"])
@@ -157,13 +129,12 @@ def main() -> None:
         for number, (name, smooth) in enumerate(FILTERS.items()):
             cut = float(np.exp(rng.uniform(np.log(2.0), np.log(20.0))))
             some = list(range(6)) if told and number % 3 == 1 else list(range(system.nx))
-            log = smoothed(made.runs, some, system.quaternion, lambda x, f=smooth, c=cut, h=dt: f(x, c, h))
+            log = smoothed(made.runs, system, some, smooth, cut, dt)
             kept = judged(machine, nsde_torch.read(log, system=system, state_smoothing="keep"), true)
             data = nsde_torch.read(log, system=system)
             every = dict(zip(HOW, (raw, kept, judged(machine, data, true)), strict=True))
             found = [f.values for f in data.summary.findings if f.kind == "state_smoothing"]
-            about = {"machine": machine, "smoother": name, "cut_hz": cut, "states": len(some), "found": found}
-            results.append(about | every)
+            results.append(every)
             words = [f"{v['smoother']} {v['order'] or ''} to {v['band_hz']:.3g} Hz" for v in found]
             off = [[p["relative"] for p in one["parameters"].values()] for one in every.values()]
             count = ", ".join(str(len(wrong(one))) for one in every.values())
@@ -173,16 +144,11 @@ def main() -> None:
     for key in HOW:
         parameters = [p for r in results for p in r[key]["parameters"].values()]
         bad = sum(bool(wrong(r[key])) for r in results)
-        right, held = (
-            sum(values)
-            for values in zip(*((p["relative"] <= 0.05, p["held"]) for p in parameters), strict=True)
-        )
+        right, held = sum(p["relative"] <= 0.05 for p in parameters), sum(p["held"] for p in parameters)
         print(
             f"\n{key}: {right} of {len(parameters)} parameters within 5 %, {held} held by their 90 % interval; "
             f"{bad} of {len(results)} data sets with a parameter that is confidently wrong"
         )
-    if given.out is not None:
-        write_json(given.out, results)
 
 
 if __name__ == "__main__":

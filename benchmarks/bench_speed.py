@@ -1,27 +1,23 @@
 """Question: what do a gradient step, rollouts, Monte Carlo and environments cost, on the processor and on a GPU?
 
-    python benchmarks/bench_speed.py --threads 2 --out bench_speed.json
+    python benchmarks/bench_speed.py --threads 2
     python benchmarks/bench_speed.py --batch 512 4096 32768 262144
-    python benchmarks/bench_speed.py --only environments --batch 1024 --threads 1 [--run RUN_DIR ...]
+    python benchmarks/bench_speed.py --only environments --batch 1024 --threads 1
 
-Every row is measured on the processor and, where there is one, on the GPU; without one the table has one column and
-says so. The hexacopter model as `nsde train` builds it (disturbance; random data of the flights' size, whose values do
-not change the work), 20 steps, float32:
+Every row is measured on the processor and, where there is one, on the GPU. The hexacopter model as `nsde train` builds
+it (disturbance; random data of the flights' size, whose values do not change the work), 20 steps, float32:
 
 - path: rollout, error of every state and its backward pass, for 2 particles (the default loss) and for 1;
 - distance: the three distance losses as `loss=default` sets them and their backward pass;
 - step: both, with clipping and Adam; losses of the devices have to agree to 1e-4;
 - rollouts: without gradients, noise given, compiled; torchsde on the same noise, inputs and first states;
 - Monte Carlo: `NeuralSDE.sample`, which draws its noise, eager;
-- environments: all that a learner waits for in a step of a batch of carts and poles (truths, models with fresh weights,
-  whose numbers cost what trained ones cost, and run directories), and the same as stable-baselines3 takes it
-  (`vec_env`).
+- environments: all that a learner waits for in a step of a batch of carts and poles (truths, and models with fresh
+  weights, whose numbers cost what trained ones cost), and the same as stable-baselines3 takes it (`vec_env`).
 
 Shortest of the repetitions, the device's work included. With `--compile` first come the first gradient step and the
 first rollout of a fresh process, with an empty compiler cache and with a warm one.
 """
-
-from __future__ import annotations
 
 import argparse
 import json
@@ -37,10 +33,9 @@ from functools import partial
 import torch
 import torchsde
 from bench_rollout import TORCHSDE, Increments, Theirs
-from common import options, write_json
+from common import options
 from torch import Tensor
 
-import nsde_torch
 from nsde_torch.models import MODELS, Model, NeuralSDE, SDESpec, make_model
 from nsde_torch.models.kind import model_kind
 from nsde_torch.policy import BatchEnvironment, make_learned, make_task, make_truth
@@ -101,6 +96,12 @@ class Case:
         self.model.zero_grad(set_to_none=True)
         torch.stack([loss() for loss in losses]).sum().backward()
 
+    def path(self) -> None:
+        self.gradient(self.path_loss)
+
+    def distance(self) -> None:
+        self.gradient(self.distance_loss)
+
     def step(self) -> None:
         self.gradient(self.path_loss, self.distance_loss)
         torch.nn.utils.clip_grad_norm_(self.model.parameters(), 10.0)
@@ -109,16 +110,6 @@ class Case:
     @torch.no_grad()
     def forward(self) -> None:
         self.paths()
-
-
-def path(device: str, batch: int, particles: int = 2) -> Timed:
-    case = Case(device, batch, particles)
-    return lambda: case.gradient(case.path_loss)
-
-
-def distance(device: str, batch: int) -> Timed:
-    case = Case(device, batch, 2)
-    return lambda: case.gradient(case.distance_loss)
 
 
 def of_torchsde(device: str, batch: int) -> Timed:
@@ -149,7 +140,6 @@ def monte_carlo(device: str, batch: int) -> Timed:
 
 
 def fresh(kind: str, generator: torch.Generator) -> Model:
-    """A model of a kind with fresh weights."""
     common = {"system": "cartpole", "kind": kind, "dt": TASK.dt, "horizon": 30}
     spec = model_kind(kind).spec
     if spec is SDESpec:
@@ -159,14 +149,13 @@ def fresh(kind: str, generator: torch.Generator) -> Model:
 
 
 def environments(machine: str, vec_env: bool, device: str, batch: int) -> Timed:
-    """Steps of a batch of carts and poles: a truth, a kind of model, or a run directory."""
+    """Steps of a batch of carts and poles: a truth, or a kind of model."""
     generator = torch.Generator().manual_seed(0)
     shared = {"dt": TASK.dt, "sensor_noise": 1.0, "generator": generator}
     if machine.startswith("truth "):
         dynamics = make_truth(machine.removeprefix("truth "), system="cartpole", **shared)
     else:
-        model = fresh(machine, generator) if machine in MODELS else nsde_torch.load(machine)
-        dynamics = make_learned(model.to(device), **shared)
+        dynamics = make_learned(fresh(machine, generator).to(device), **shared)
     made = BatchEnvironment(TASK, dynamics, n=batch, generator=generator, start=TASK.training, stagger=True)
     made.reset()
     actions = 2 * torch.rand(ENVIRONMENT_STEPS, batch, 1, generator=generator).to(device) - 1
@@ -179,19 +168,19 @@ def environments(machine: str, vec_env: bool, device: str, batch: int) -> Timed:
     return run
 
 
-def work(runs: list[str]) -> dict[str, tuple[Callable[[str, int], Timed], int]]:
+def work() -> dict[str, tuple[Callable[[str, int], Timed], int]]:
     """What is timed -> what makes it for a device and a batch, and its steps in a row."""
     out: dict[str, tuple[Callable[[str, int], Timed], int]] = {
-        "path": (path, STEPS),
-        "path, 1 particle": (partial(path, particles=1), STEPS),
-        "distance": (distance, STEPS),
+        "path": (lambda device, batch: Case(device, batch, 2).path, STEPS),
+        "path, 1 particle": (lambda device, batch: Case(device, batch, 1).path, STEPS),
+        "distance": (lambda device, batch: Case(device, batch, 2).distance, STEPS),
         "step": (lambda device, batch: Case(device, batch, 2).step, STEPS),
         "step, 1 particle": (lambda device, batch: Case(device, batch, 1).step, STEPS),
         "rollouts": (lambda device, batch: Case(device, batch, 1).forward, STEPS),
         "rollouts, torchsde": (of_torchsde, STEPS),
         "Monte Carlo": (monte_carlo, STEPS),
     }
-    for machine in ("truth plant", "truth published", *(k for k in MODELS if k != "sysid"), *runs):
+    for machine in ("truth plant", "truth published", *(k for k in MODELS if k != "sysid")):
         for vec_env in (False, True):
             name = f"environments: {machine}" + (", vec_env" if vec_env else "")
             out[name] = partial(environments, machine, vec_env), ENVIRONMENT_STEPS
@@ -210,8 +199,8 @@ def clocked(function: Timed, device: str) -> float:
 def first_calls(device: str, threads: int, cache: str) -> dict[str, float]:
     """Seconds of the first calls in a process of its own, and all of its processor time (imports and compiler too)."""
     words = [sys.executable, __file__, "--first-calls", device, "--threads", str(threads)]
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
     env = {**os.environ, "TORCHINDUCTOR_CACHE_DIR": cache}
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
     done = subprocess.run(words, env=env, capture_output=True, text=True, check=True)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     busy = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
@@ -229,10 +218,9 @@ def agreed(devices: list[str]) -> None:
 
 
 def main() -> None:
-    parser = options(__doc__, repeats=5, threads=2, out=None)
+    parser = options(__doc__, repeats=5, threads=2)
     parser.add_argument("--batch", type=int, nargs="+", default=[512, 4096], help="rows")
     parser.add_argument("--only", nargs="+", default=[""], help="what is timed, by how its name begins")
-    parser.add_argument("--run", nargs="*", default=[], help="run directories of cart-pole models")
     parser.add_argument("--compile", action="store_true", help="the first calls of fresh processes too")
     parser.add_argument("--first-calls", default="", help=argparse.SUPPRESS)
     given = parser.parse_args()
@@ -252,11 +240,10 @@ def main() -> None:
             for state in ("cold", "warm"):
                 found = first_calls(devices[-1], given.threads, cache)
                 print(f"{state} process: " + ", ".join(f"{k} {v:.1f} s" for k, v in found.items()))
-    rows: list[dict[str, object]] = []
     print(f"{'':<34}{'rows':>8}" + "".join(f"{d + ' [ms]':>14}{'M steps/s':>11}" for d in devices) + "  load")
-    for name, (make, steps) in work(given.run).items():
+    for name, (make, steps) in work().items():
         for batch in given.batch if name.startswith(tuple(given.only)) else ():
-            text, row = f"{name:<34}{batch:>8}", {"what": name, "batch": batch, "load": os.getloadavg()[0]}
+            text, load = f"{name:<34}{batch:>8}", os.getloadavg()[0]
             for device in devices:
                 try:
                     function = make(device, batch)
@@ -264,13 +251,8 @@ def main() -> None:
                 except torch.OutOfMemoryError:
                     text += f"{'no memory':>14}{'':>11}"
                     continue
-                row[f"{device}_ms"] = 1e3 * seconds
                 text += f"{1e3 * seconds:>14.2f}{batch * steps / seconds / 1e6:>11.2f}"
-            rows.append(row)
-            print(f"{text}  {row['load']:.1f}", flush=True)
-    if given.out:
-        about = {"torch": torch.__version__, "threads": given.threads, "devices": devices}
-        write_json(given.out, {**about, "cores": os.cpu_count(), "rows": rows})
+            print(f"{text}  {load:.1f}", flush=True)
 
 
 if __name__ == "__main__":

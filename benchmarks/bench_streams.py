@@ -2,34 +2,21 @@
 
     python benchmarks/bench_streams.py --seeds 12
 
-Closed-loop flights of `benchmarks/blind/loop_machine.py`, which shares no code with the package, as five streams:
-
-    motion capture   p and q at 100 Hz
-    estimator        v at 100 Hz
-    gyroscope        w at 100 Hz
-    motors           commands, or rotor speeds in rpm, at 50 Hz, held
-    battery          10 Hz, held
-
-Estimator and gyroscope are offset against motion capture by another time in each run, drawn from -10 to 20 ms
-(`offset`), by one time in all runs (`common`), or not at all (`null`); with `offset of motors` the motors are, too.
-Rotor speeds are quantised, and have rows of ten times their range, of nothing, and of old values; the streams are
-offset as with `offset`.
-
-For each case: which offsets were found, the root mean square error of their differences between runs [ms], and the
-errors of the gains of thrust, roll and pitch (with the lag of the motors declared), as logged and on one clock.
+Closed-loop flights of `blind/loop_machine.py` as five streams: motion capture (p and q), an estimator (v) and
+a gyroscope (w) at 100 Hz, motors at 50 Hz and a battery at 10 Hz, both held. Estimator and gyroscope are offset against
+motion capture by another time in each run (`offset`), by one in all runs (`common`), or not (`null`); with `offset of
+motors` the motors are, too. Rotor speeds are quantised, with glitches, gaps and old values.
 """
-
-from __future__ import annotations
 
 import tempfile
 import time
-from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
-from common import STATES, Array, line, options, save
-from loop_flight import LOG, SENSORS, Flight, fly
-from loop_machine import Machine, product
+from common import STATES, Array, head, line, options, save
+from loop_flight import LOG, SENSORS, Flight, fly, measured
+from loop_machine import Machine
 from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
@@ -42,42 +29,29 @@ MOST_RPM, POLES = 22_000.0, 14.0
 KINDS = ("offset", "common", "null", "offset of motors", "rotor speeds")
 
 
-@dataclass(frozen=True)
-class Case:
-    """What was logged, and what is true of it."""
-
+class Case(NamedTuple):
     kind: str  # one of `KINDS`
     folder: Path  # where the runs are, one CSV file each
-    # by how much estimator, gyroscope and motors are late against motion capture in each run [s], (3, runs)
-    late: Array
-    gains: Array = field(repr=False)  # true thrust gain, roll gain and pitch gain
+    late: Array  # how late estimator, gyroscope and motors are against motion capture in each run [s], (3, runs)
+    gains: Array  # true thrust gain, roll gain and pitch gain
 
 
 def make(kind: str, seed: int, folder: Path) -> Case:
-    """Fly and log one data set."""
     rng = np.random.default_rng([seed, KINDS.index(kind), 77])
     gains = np.array([rng.uniform(5, 9), *rng.uniform(60, 180, 2)])
-    machine = Machine(
-        "quadrotor",
-        thrust_gain=float(gains[0]),
-        thrust_offset=0.0,
-        gains=(float(gains[1]), float(gains[2]), float(rng.uniform(4, 12))),
-        inertia=(0.6, 0.65),
-        effects={"motor_lag": {"time_constant": LAG}, "linear_drag": {"drag": (0.25, 0.25, 0.1)}},
-        gust=(0.15, 0.15, 0.1, 1.0, 1.0, 0.2),
-    )
+    gain = gains.tolist()
+    effects = {"motor_lag": {"time_constant": LAG}, "linear_drag": {"drag": (0.25, 0.25, 0.1)}}
+    moments, gust = (*gain[1:], float(rng.uniform(4, 12))), (0.15, 0.15, 0.1, 1.0, 1.0, 0.2)
+    machine = Machine("quadrotor", gain[0], 0.0, moments, (0.6, 0.65), effects, gust)
     paths = ["sticks", "waypoints", "sines", "circle"]
     flights = [
         Flight(machine, paths[(seed + r) % 4], "b", SECONDS, 40.0 * r, 1000 * seed + r) for r in range(RUNS)
     ]
-    late = rng.uniform(-0.010, 0.020, (3, RUNS))
+    late = rng.uniform(-0.010, 0.020, (3, RUNS)) * (kind != "null")
     if kind == "common":
         late = np.repeat(late[:, :1], RUNS, axis=1)
-    if kind == "null":
-        late[:] = 0.0
     if kind != "offset of motors":
         late[2] = 0.0
-    folder.mkdir(parents=True, exist_ok=True)
     for r, flown in enumerate(fly(flights)):
         n = len(flown.t)
         k = np.arange(n) * LOG
@@ -86,28 +60,20 @@ def make(kind: str, seed: int, folder: Path) -> Case:
         x = true(k)
         for columns, d in ((slice(3, 6), late[0, r]), (slice(10, 13), late[1, r])):
             x[:, columns] = true(np.clip(k - d, 0, k[-1]))[:, columns]
-        x[:, :6] += noise[:, :6]
-        x[:, 6:10] = _turned(x[:, 6:10], noise[:, 6:9])
-        x[:, 10:] += noise[:, 9:]
+        x = measured(x, noise)
         u = flown.u
-        if kind == "rotor speeds":  # what the rotors do, behind their lag
+        if kind == "rotor speeds":  # what the rotors do, behind their lag, at the row and not behind it
             stays = np.exp(-LOG / LAG)
             u = lfilter([1 - stays], [1, -stays], u, axis=0, zi=stays * u[:1])[0]
-            u = np.vstack([flown.u[:1], u[:-1]])  # at the row, not behind it
-        acting = _of_stream(u, k - late[2, r], linear=kind == "rotor speeds")
-        if kind == "rotor speeds":
-            acting = _speeds(acting, rng)
+            u = np.vstack([flown.u[:1], u[:-1]])
+            acting = _speeds(_of_stream(u, k - late[2, r], linear=True), rng)
+        else:
+            acting = _of_stream(u, k - late[2, r], linear=False)
         motors = acting[2 * (np.arange(n) // 2)]
         battery = flown.extra["battery_voltage"][10 * (np.arange(n) // 10)]
         names = ("t", *STATES["multirotor"], *(f"u_{i}" for i in range(1, 5)), "battery_voltage")
         save(folder / f"flight_{r}.csv", names, [np.column_stack([flown.t, x, motors, battery])[50:-50]])
     return Case(kind, folder, late, gains)
-
-
-def _turned(q: Array, by: Array) -> Array:
-    """Quaternions (n, 4) turned by small rotations (n, 3) in the body."""
-    out = product(q, np.concatenate([np.ones((len(q), 1)), 0.5 * by], 1))
-    return np.asarray(out / np.linalg.norm(out, axis=1, keepdims=True))
 
 
 def _of_stream(u: Array, at: Array, *, linear: bool) -> Array:
@@ -142,11 +108,8 @@ def errors(case: Case, *, policy: str) -> tuple[Array, dict[str, dict[str, float
     options = {"rotor_speed": {"u": MOST_RPM}} if speeds else {}
     data = nsde_torch.read(case.folder, system=system, stream_offsets=policy, **options)
     took = time.perf_counter() - start
-    found = {}
-    for finding in data.summary.findings:
-        if finding.kind == "stream_offset":
-            values = {k: float(v) for k, v in finding.values.items()}
-            found[finding.message.split(" ")[0]] = values
+    findings = [f for f in data.summary.findings if f.kind == "stream_offset"]
+    found = {f.message.split(" ")[0]: {k: float(v) for k, v in f.values.items()} for f in findings}
     result = identify(system, data.runs, clock=data.clock_scale)
     values = dict(zip(result.vector.labels, result.values.tolist(), strict=True))
     gains = np.array([values[name] for name in ("thrust_gain", "roll_gain", "pitch_gain")])
@@ -167,8 +130,9 @@ def main() -> None:
     parser = options(__doc__, seeds=12, first=0)
     parser.add_argument("--kinds", default=",".join(KINDS))
     given = parser.parse_args()
-    print("| streams | seed | offsets found | error v, w [ms] | gains kept | gains on one clock | read [s] |")
-    print("|---|---|---|---|---|---|---|")
+    head(
+        "streams", "seed", "offsets found", "error v, w [ms]", "gains kept", "gains on one clock", "read [s]"
+    )
     for kind in given.kinds.split(","):
         for seed in range(given.first, given.first + given.seeds):
             with tempfile.TemporaryDirectory() as folder:
@@ -176,12 +140,9 @@ def main() -> None:
                 kept, _, _ = errors(case, policy="keep")
                 there, found, took = errors(case, policy="undo")
             off = [offset_error(case, found, stream) for stream in "vw"]
-            shown = f"{off[0]:.2g}, {off[1]:.2g}", _shown(kept), _shown(there), f"{took:.1f}"
-            print(line([kind, seed, ", ".join(found) or "none", *shown]), flush=True)
-
-
-def _shown(off: Array) -> str:
-    return ", ".join(f"{100 * o:+.0f}" for o in off) + " %"
+            gains = [", ".join(f"{100 * o:+.0f}" for o in of) + " %" for of in (kept, there)]
+            shown = ", ".join(found) or "none", f"{off[0]:.2g}, {off[1]:.2g}", *gains, f"{took:.1f}"
+            print(line([kind, seed, *shown]), flush=True)
 
 
 if __name__ == "__main__":

@@ -1,16 +1,11 @@
 """Question: does least-squares identification find the true parameters, and do its 95 % intervals hold 95 %?
 
-Plants of this package, identified with all the physics that they have (the hexacopter's rotor drag and motor lag
-declared); every fit starts from the defaults of the system, not from the truth.
-
-    noise-free   no gusts, no sensor noise: largest error of a parameter, as a share of its true value
-    coverage     noise as the plants have it, other motion and other noise with every seed: how many of the intervals
-                 hold the true value, by parameter and in all, beside bias and spread of the estimates over seeds
-
-Spring: five runs of 5 s with a multisine force. Cartpole: its twenty episodes. Hexacopter: three flights of 40 s. With
---differences the same data are also fitted to finite differences of smoothed states, the classical way.
-
     python benchmarks/bench_sysid.py --seeds 200
+
+Plants of this package, identified with all the physics that they have, from the defaults of the system: without gusts
+and sensor noise (largest error of a parameter), and with them, motion and noise of every seed its own (how many of the
+intervals hold the true value, bias and spread of the estimates). With --differences the same data are also fitted to
+finite differences of smoothed states, the classical way.
 """
 
 import time
@@ -42,7 +37,6 @@ def main() -> None:
     parser.add_argument("--systems", nargs="+", choices=SYSTEMS, default=SYSTEMS)
     parser.add_argument("--differences", action="store_true", help="the classical method too")
     a = parser.parse_args()
-    torch.set_num_threads(1)
     results: dict[str, Any] = {}
     for name in a.systems:
         for method in METHODS if a.differences else ("weak",):
@@ -56,26 +50,22 @@ def main() -> None:
 
 def declared(name: str) -> System:
     """The system with all the physics that its plant has, at the default values."""
-    return make_system(
-        name, effects=[e for e in MACHINES[name].effects if e not in make_system(name).effect_names]
-    )
+    known = make_system(name).effect_names
+    return make_system(name, effects=[e for e in MACHINES[name].effects if e not in known])
 
 
 def truth(name: str) -> dict[str, float]:
-    """True value of every parameter."""
     vector = ParameterVector(make_plant_system(name))
     return dict(zip(vector.labels, vector.start.tolist(), strict=True))
 
 
 def recordings(name: str, seeds: Sequence[int], *, noise: float) -> Iterator[Sequence[Run]]:
-    """The runs of each seed."""
     if name != "hexacopter":
         options = {"force": "multisine"} if name == "mass_spring_damper" else {}
         process = noise if MACHINES[name].gusts else 1.0
+        how = {"sensor_noise": noise, "process_noise": process, "use_cache": False, **options}
         for seed in seeds:
-            yield simulated(
-                name, seed=seed, sensor_noise=noise, process_noise=process, use_cache=False, **options
-            ).runs
+            yield simulated(name, seed=seed, **how).runs
         return
     dt = MACHINES[name].dt
     for first in range(0, len(seeds), AT_ONCE):
@@ -95,10 +85,8 @@ def noise_free(name: str, method: str) -> dict[str, Any]:
     true = truth(name)
     (runs,) = recordings(name, [0], noise=0.0)
     found = identify(declared(name), runs, method=method)
-    errors = {
-        label: abs(value / true[label] - 1)
-        for label, value in zip(found.vector.labels, found.values, strict=True)
-    }
+    pairs = zip(found.vector.labels, found.values, strict=True)
+    errors = {label: abs(value / true[label] - 1) for label, value in pairs}
     return {"largest": max(errors.values()), "errors": errors}
 
 
@@ -137,7 +125,6 @@ def coverage(name: str, method: str, seeds: Sequence[int]) -> dict[str, Any]:
 
 
 def report(name: str, method: str, row: dict[str, Any]) -> None:
-    """Print one system and method."""
     print(f"\n{name}, {method}: noise-free, largest error {row['noise_free']['largest']:.1e}")
     if "parameters" not in row:
         return
@@ -146,9 +133,9 @@ def report(name: str, method: str, row: dict[str, Any]) -> None:
         f"(+- {row['held_standard_error']:.1%}); {row['seconds_a_fit']:.2f} s a fit"
     )
     for label, p in row["parameters"].items():
+        spreads = f"spread {p['spread']:.4f}  standard error {p['standard_error']:.4f}"
         print(
-            f"  {label:28s} true {p['true']:9.4f}  bias {p['bias']:+.4f}  spread {p['spread']:.4f}  "
-            f"standard error {p['standard_error']:.4f}  held {p['held']:.1%}",
+            f"  {label:28s} true {p['true']:9.4f}  bias {p['bias']:+.4f}  {spreads}  held {p['held']:.1%}",
             flush=True,
         )
 

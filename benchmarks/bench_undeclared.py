@@ -8,16 +8,12 @@ default, `sysid` (the declared physics alone) and `informed` (least squares with
 flights of it (`nsde track`, four machines with gusts of their own). Ratios are to `informed`.
 """
 
-from __future__ import annotations
-
 import json
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
-import torch
-from common import options, read_json, train_all
+from common import head, line, nsde, options, read_json, train_all, write_json
 
 import nsde_torch
 
@@ -35,30 +31,17 @@ LAG = {"motor_lag": {"time_constant": 0.05}}
 GROUPS = ("position", "velocity", "attitude", "rate")
 
 
-def nsde(*words: str) -> None:
-    """Run a command of the package; what it prints is shown where it fails."""
-    done = subprocess.run([sys.executable, "-m", "nsde_torch.cli", *words], capture_output=True, text=True)
-    if done.returncode:
-        raise SystemExit(f"nsde {' '.join(words)}\n{done.stdout[-2000:]}{done.stderr[-2000:]}")
-
-
-def plant_words(law: dict[str, Any]) -> list[str]:
-    """The machine: the law and the lag, and nothing else undeclared."""
-    effects = json.dumps([LAG, law]).replace('"', "").replace(" ", "")
-    return [f"plant.effects={effects}", "plant.declared_only=true"]
-
-
 def judged(folder: Path, name: str, seed: int, starts: int) -> dict[str, Any]:
     """Train, score and fly the three models of one machine; what is finished is used again."""
     law, flown = MACHINES[name]
-    plant = plant_words(law)
+    effects = json.dumps([LAG, law]).replace('"', "").replace(" ", "")
+    plant = [f"plant.effects={effects}", "plant.declared_only=true"]
     flights, others = folder / "flights", folder / "interventions"
-    for out, words in (
-        (flights, [f"seed={seed}"]),
-        (others, [f"seed={1000 + seed}", "pilot=replay", f"replay.starts={starts}"]),
-    ):
+    replay = [f"seed={1000 + seed}", "pilot=replay", f"replay.starts={starts}"]
+    for out, words in ((flights, [f"seed={seed}"]), (others, replay)):
         if not out.with_suffix(".truth.json").is_file():  # written last
-            nsde("simulate", "system=hexacopter", f"out={out}", "overwrite=true", *words, *plant)
+            made = nsde("simulate", "system=hexacopter", f"out={out}", "overwrite=true", *words, *plant)
+            subprocess.run(made, check=True)
     base = ["system=hexacopter", "data=csv", f"data.path={flights}"]
     informed = f"system.effects=[{','.join([*LAG, *law])}]"
     jobs = {"nsde": [], "sysid": ["model=sysid"], "informed": ["model=sysid", informed]}
@@ -69,7 +52,7 @@ def judged(folder: Path, name: str, seed: int, starts: int) -> dict[str, Any]:
     if not (tracks / "tracking.json").is_file():
         beside = f"beside=[{runs['informed']},{runs['sysid']}]"
         words = [*flown.split(), "machines=4", f"seed={seed}", f"out_dir={tracks}"]
-        nsde("track", f"run={runs['nsde']}", beside, *words, *plant)
+        subprocess.run(nsde("track", f"run={runs['nsde']}", beside, *words, *plant), check=True)
     tracked = read_json(tracks / "tracking.json")["controllers"].values()
     flown_by = {Path(c["run"]).name: c for c in tracked}
     return {
@@ -83,35 +66,24 @@ def judged(folder: Path, name: str, seed: int, starts: int) -> dict[str, Any]:
     }
 
 
-def line(name: str, seed: int, found: dict[str, Any]) -> str:
-    """One row of the table: ratios to the informed model."""
-    cells = [name, str(seed)]
-    for model in ("nsde", "sysid"):
-        ratios = [found[model]["errors"][g] / found["informed"]["errors"][g] for g in GROUPS]
-        cells.append(", ".join(f"{r:.2f}" for r in ratios))
-    cells.append(", ".join(f"{100 * found['nsde']['coverage_90'][g]:.0f}" for g in GROUPS))
-    cells.append(", ".join(f"{found[m]['track_cm']:.2f}" for m in ("nsde", "sysid", "informed")))
-    return "| " + " | ".join(cells) + " |"
-
-
 def main() -> None:
     parser = options(__doc__, "out", seeds=3, first_seed=0)
-    parser.add_argument("--machines", nargs="+", default=list(MACHINES), choices=MACHINES, metavar="NAME")
     parser.add_argument("--starts", type=int, default=400, help="interventions for each machine")
     a = parser.parse_args()
-    torch.set_num_threads(1)
-    print(
-        "| law | seed | errors at 1 s: nsde / informed | sysid / informed | 90 % hold: nsde "
-        "| flown [cm]: nsde, sysid, informed |"
-    )
-    print("|---" * 6 + "|")
+    ratios = ("errors at 1 s: nsde / informed", "sysid / informed", "90 % hold: nsde")
+    head("law", "seed", *ratios, "flown [cm]: nsde, sysid, informed")
     every = {}
-    for name in a.machines:
+    for name in MACHINES:
         for seed in range(a.first_seed, a.first_seed + a.seeds):
             folder = a.out.resolve() / f"{name.replace(' ', '_')}_{seed}"
             every[f"{name} {seed}"] = found = judged(folder, name, seed, a.starts)
-            print(line(name, seed, found), flush=True)
-            (a.out / "undeclared.json").write_text(json.dumps(every, indent=1), encoding="utf-8")
+            informed = found["informed"]["errors"]
+            ratios = ([found[m]["errors"][g] / informed[g] for g in GROUPS] for m in ("nsde", "sysid"))
+            held = [f"{100 * found['nsde']['coverage_90'][g]:.0f}" for g in GROUPS]
+            flown = [f"{found[m]['track_cm']:.2f}" for m in ("nsde", "sysid", "informed")]
+            cells = ([f"{r:.2f}" for r in of] for of in ratios)
+            print(line([name, seed, *map(", ".join, (*cells, held, flown))]), flush=True)
+            write_json(a.out / "undeclared.json", every)
 
 
 if __name__ == "__main__":

@@ -1,39 +1,32 @@
 """Good logs and broken ones: does a command name what is wrong with a log, and is it silent where nothing is?
 
     python benchmarks/blind/broken_logs.py --seed 1 --count 100 --out broken/
-    python benchmarks/blind/broken_logs_run.py --cases broken/
 
-writes `broken/data/good_00/run_0.csv ...`, `broken/data/broken_00/...` and `broken/truth/NAME.json`: as many good logs
-as broken ones. Of five logs three are of multirotors in closed loop (`loop_flight`: waypoints, circles, sines and
-sticks; four regimes of what the controller sees; 50 to 250 Hz), one of a spring and one of a cart (`small_machines`, 50
-to 400 Hz). Every second machine holds one true effect that the declared physics lacks. Broken logs hold one fault of
-`broken_faults`, each in turn. None of it shares code with `nsde_torch`.
+writes as many good logs as broken ones, and their truth. Of five logs three are of multirotors in closed loop
+(`loop_flight`), one of a spring and one of a cart (`small_machines`). Every second machine holds one true effect that
+the declared physics lacks. Broken logs hold one fault of `broken_faults`, each in turn. None of it shares code with
+`nsde_torch`.
 """
 
-from __future__ import annotations
-
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from broken_faults import FAULTS, Log, Table
 from closed_loop import EFFECTS, STATES, SYSTEMS, _machine, _sized
-from loop_flight import PATHS, Flight, fly
+from loop_flight import Flight, fly, several
 from small_machines import Small, columns, run, small
-from study import missing, options, save, write_json
+from study import Json, missing, options, save, write_json
 
 LOOPS = (("a", 0.01), ("b", 0.02), ("c", 0.01), ("a", 0.005), ("d", 0.01), ("b", 0.004))
 """Regime and step of the log [s] of the multirotors, in turn."""
 STEPS = (0.01, 0.02, 0.005, 0.0025)
 RUNS = 3
-PAUSE_S = 15.0
 
 
-@dataclass(frozen=True)
-class Case:
-    """One log."""
-
+class Case(NamedTuple):
     name: str
     system: str
     fault: str  # key of `FAULTS`; empty for a good log
@@ -44,7 +37,6 @@ class Case:
 
 
 def cases(seed: int, count: int) -> list[Case]:
-    """As many good logs as broken ones."""
     rng = np.random.default_rng([seed, 0])
     out = []
     names = list(FAULTS)
@@ -71,22 +63,11 @@ def flights_of(case: Case, turn: int) -> list[Flight]:
     machine = _machine(case.system, rng)
     if case.effect and not turn:
         machine = replace(machine, effects={case.effect: _sized(case.effect, case.system, rng)})
-    paths = [PATHS[i] for i in rng.permutation(len(PATHS))]
-    noise, vigour = float(rng.uniform(0.7, 1.4)), float(rng.uniform(0.9, 1.4))
-    known = tuple(float(v) for v in rng.uniform(0.9, 1.1, 4))
-    out, t0 = [], 0.0
-    for k in range(RUNS):
-        seconds = float(np.round(rng.uniform(20.0, 30.0), 1))
-        seed = case.seed * 16 + 8 * turn + k
-        out.append(
-            Flight(machine, paths[k], case.regime, seconds, t0, seed, noise, vigour, known=known, log=case.dt)
-        )
-        t0 = round(t0 + seconds + PAUSE_S, 2)
-    return out
+    seconds = lambda: float(np.round(rng.uniform(20.0, 30.0), 1))  # noqa: E731
+    return several(machine, rng, case.regime, case.seed * 16 + 8 * turn, RUNS, seconds, case.dt)
 
 
 def small_log(case: Case, turn: int) -> tuple[Log, Small]:
-    """Runs of a spring or a cart."""
     rng = np.random.default_rng([case.seed, turn])
     machine = small(case.system, rng, bool(case.effect) and not turn)
     log, t0 = [], 0.0
@@ -98,7 +79,7 @@ def small_log(case: Case, turn: int) -> tuple[Log, Small]:
     return log, machine
 
 
-def write(case: Case, log: Log, other: Log | None, true: dict[str, object], folder: Path) -> None:
+def write(case: Case, log: Log, other: Log | None, true: Json, folder: Path) -> None:
     """Break the log, and write it and its truth, the truth last."""
     rng = np.random.default_rng([case.seed, 99])
     done = FAULTS[case.fault][0](log, other or log, rng) if case.fault else ""
@@ -119,7 +100,7 @@ def main() -> None:
     started = time.perf_counter()
     for case in (c for c in todo if not c.regime):
         log, machine = small_log(case, 0)
-        true: dict[str, object] = {"values": machine.values, "effects": machine.effects}
+        true = {"values": machine.values, "effects": machine.effects}
         write(case, log, small_log(case, 1)[0], true, given.out)
     print(f"springs and carts written ({time.perf_counter() - started:.0f} s)", flush=True)
     for regime, dt in LOOPS:

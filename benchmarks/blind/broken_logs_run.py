@@ -1,17 +1,12 @@
 """Run a command on good and on broken logs, and judge what it says.
 
-    python benchmarks/blind/broken_logs.py --seed 1 --count 100 --out broken/
     python benchmarks/blind/broken_logs_run.py --cases broken/              # nsde train model=sysid, about 12 s a log
     python benchmarks/blind/broken_logs_run.py --cases broken/ --quick      # nsde_torch.read and identify alone, 3 s
-    python benchmarks/blind/broken_logs_run.py --cases broken/ --judge      # the table again
 
-A broken log is *named* where the command refuses it or warns, in words that name the fault (a regular expression of
-`broken_faults.FAULTS`), *warned of* where it refuses or warns in other words, and otherwise *missed*. A good log is
-warned of where anything is refused, found or warned of, but for inputs that span less than their number. What the
-command says of feedback, and of what the data do not show, counts as neither.
+A broken log is *named* where the command refuses it or warns, in words that name the fault, *warned of* where it does
+so in other words, and otherwise *missed*. A good log is warned of where anything is refused, found or warned of, but
+for inputs that span less than their number. What is said of feedback, and of what the data do not show, is neither.
 """
-
-from __future__ import annotations
 
 import re
 import subprocess
@@ -26,14 +21,11 @@ from study import Json, answered, markdown, missing, options, pooled, truth_of, 
 _BENIGN = ("dimensions; always zero",)
 
 
-def by_command(folder: Path, name: str, further: list[str]) -> Json:
-    """`nsde train model=sysid` on one log."""
+def by_command(folder: Path, name: str) -> Json:
     truth = truth_of(folder, name)
-    words = [
-        *(sys.executable, "-m", "nsde_torch.cli", "train", "model=sysid", f"system={truth['system']}"),
-        *("data=csv", f"data.path={folder / 'data' / name}", f"run_dir={folder / 'runs' / name}", *further),
-    ]
     step = truth["dt_s"] * max(1, round(0.02 / truth["dt_s"]))  # the model's, a whole multiple of the log's
+    words = [sys.executable, "-m", "nsde_torch.cli", "train", "model=sysid", f"system={truth['system']}"]
+    words += ["data=csv", f"data.path={folder / 'data' / name}", f"run_dir={folder / 'runs' / name}"]
     words.append(f"system.dt={step:g}")
     started = time.perf_counter()
     done = subprocess.run(words, capture_output=True, text=True, check=False)
@@ -41,9 +33,8 @@ def by_command(folder: Path, name: str, further: list[str]) -> Json:
     return {"code": done.returncode, "text": done.stdout + done.stderr, "seconds": seconds}
 
 
-def quickly(folder: Path, name: str, further: list[str]) -> Json:
+def quickly(folder: Path, name: str) -> Json:
     """The same checks by Python, without pictures and predictions."""
-    import torch
 
     import nsde_torch
     from nsde_torch.errors import NsdeError
@@ -51,7 +42,6 @@ def quickly(folder: Path, name: str, further: list[str]) -> Json:
     from nsde_torch.systems import make_system
     from nsde_torch.training.fit_sysid import summary
 
-    torch.set_num_threads(1)
     truth = truth_of(folder, name)
     started = time.perf_counter()
     code, text, figures = 0, "", {}
@@ -71,17 +61,14 @@ def said(answer: Json) -> list[str]:
     lines, out, finding = answer["text"].splitlines(), [], False
     for line in lines:
         finding = (finding and line.startswith("  ")) or line.startswith("found:")
-        if finding and line.startswith("  ") and not any(b in line for b in _BENIGN):
-            out.append(line.strip())
-        elif line.startswith("warning:"):
-            out.append(line)
+        told = finding and line.startswith("  ") and not any(b in line for b in _BENIGN)
+        out += [line.strip()] if told or line.startswith("warning:") else []
     if answer["code"]:
         out += [line for line in lines if line.strip()][-3:]
     return out
 
 
 def judge(truth: Json, answer: Json) -> str:
-    """What became of a log."""
     lines = said(answer)
     if not truth["fault"]:
         return "warned of" if lines else "silent"
@@ -91,7 +78,6 @@ def judge(truth: Json, answer: Json) -> str:
 
 
 def table(folder: Path) -> str:
-    """What became of all logs, as Markdown."""
     rows: dict[str, list[tuple[str, Json, Json]]] = {}
     for _, truth, answer in answered(folder):
         rows.setdefault(truth["fault"] or "nothing", []).append((judge(truth, answer), truth, answer))
@@ -99,10 +85,8 @@ def table(folder: Path) -> str:
     broken = {fault: some for fault, some in rows.items() if fault != "nothing"}
     broken["all"] = [row for some in broken.values() for row in some]
     words = ("named", "warned of", "missed")
-    counts = [
-        (fault, len(some), *(sum(v == w for v, _, _ in some) for w in words))
-        for fault, some in broken.items()
-    ]
+    verdicts = {fault: [verdict for verdict, _, _ in some] for fault, some in broken.items()}
+    counts = [(fault, len(some), *map(some.count, words)) for fault, some in verdicts.items()]
     lines = markdown(("fault", "logs", *words), counts)
     lines.append(f"\ngood logs: {sum(v == 'warned of' for v, _, _ in good)} of {len(good)} warned of\n")
     for fault, some in rows.items():
@@ -114,8 +98,8 @@ def table(folder: Path) -> str:
     return "\n".join(lines)
 
 
-def _one(folder: Path, quick: bool, further: list[str], name: str) -> str:
-    answer, truth = (quickly if quick else by_command)(folder, name, further), truth_of(folder, name)
+def _one(folder: Path, quick: bool, name: str) -> str:
+    answer, truth = (quickly if quick else by_command)(folder, name), truth_of(folder, name)
     write_json(folder / "answers" / f"{name}.json", answer)
     return f"{truth['fault'] or '-'} ({truth['done']}): {judge(truth, answer)} {answer['seconds']:.1f} s"
 
@@ -123,10 +107,9 @@ def _one(folder: Path, quick: bool, further: list[str], name: str) -> str:
 def main() -> None:
     parser = options(__doc__, "cases", names=None, jobs=1, judge=False)
     parser.add_argument("--quick", action="store_true", help="without the command line")
-    parser.add_argument("further", nargs="*", help="further keys of the command")
     given = parser.parse_args()
     names = given.names or sorted(missing(given.cases, "answers"), key=lambda name: name[-3:])
-    make = partial(_one, given.cases, given.quick, given.further)
+    make = partial(_one, given.cases, given.quick)
     pooled(given.jobs, {name: partial(make, name) for name in ([] if given.judge else names)})
     print(table(given.cases))
 

@@ -1,25 +1,20 @@
 """Blind closed-loop cases: flights of hexacopters and quadrotors under feedback that hold one effect, or nothing.
 
     python benchmarks/blind/closed_loop.py --seed 1 --out loop/          # 60 cases in five minutes
-    python benchmarks/blind/closed_loop_run.py --cases loop/
 
-writes `loop/data/case_00/run_0.csv ...` and `loop/truth/case_00.json`. Machines, controllers, gusts, sensors and paths
-are those of `loop_machine` and `loop_flight`, which share no code with `nsde_torch`; files do not say what is in them.
-
-48 cases hold one effect of the catalogue, 12 hold nothing. Systems, the four regimes (see `loop_flight`: what the
-controller sees) and whether sticks and setpoints are logged take turns, so that each effect is seen under three
-regimes, and nothing under all. Four flights of 40 to 45 s a case, on one clock; the battery's voltage is always logged.
+Machines, controllers, gusts, sensors and paths are those of `loop_machine` and `loop_flight`, which share no code with
+`nsde_torch`; files do not say what is in them. 48 cases hold one effect of the catalogue, 12 hold nothing. Systems, the
+four regimes and whether sticks and setpoints are logged take turns, so that each effect is seen under three regimes,
+and nothing under all. Four flights of 40 to 45 s a case, on one clock; the battery's voltage is always logged.
 """
 
-from __future__ import annotations
-
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from loop_flight import PATHS, RATES, REGIMES, STICKS, Flight, Logged, fly
+from loop_flight import RATES, REGIMES, STICKS, Flight, Logged, fly, several
 from loop_machine import SIGNS, Machine
 from study import STATES as STATES_OF
 from study import missing, options, save, write_json
@@ -27,8 +22,6 @@ from study import missing, options, save, write_json
 SYSTEMS = ("hexacopter", "quadrotor")
 SINGLES, NULLS = 48, 12
 FLIGHTS = 4
-PAUSE_S = 15.0
-"""Time between two flights on the clock [s]."""
 EFFECTS = (
     *("linear_drag", "quadratic_drag", "constant_wind", "constant_world_force", "ground_effect"),
     *("thrust_misalignment", "angular_damping", "com_offset", "gyroscopic_moment", "flapping_moment"),
@@ -38,10 +31,7 @@ EFFECTS = (
 STATES = STATES_OF["multirotor"]
 
 
-@dataclass(frozen=True)
-class Case:
-    """One case."""
-
+class Case(NamedTuple):
     name: str  # of its files; tells nothing
     machine: Machine
     regime: str  # what its controller sees
@@ -74,15 +64,11 @@ def _machine(system: str, rng: np.random.Generator) -> Machine:
     gain = (9.81 - offset) / (SIGNS[system].shape[1] * rng.uniform(0.33, 0.5))
     roll = rng.uniform(70, 130) if system == "hexacopter" else rng.uniform(40, 75)
     jx = rng.uniform(0.5, 0.7)
-    return Machine(
-        system,
-        float(gain),
-        offset,
-        (float(roll), float(roll * rng.uniform(0.85, 1.15)), float(rng.uniform(2.5, 5.0))),
-        (float(jx), float(jx * rng.uniform(0.85, 1.15))),
-        gust=tuple(rng.uniform(0.7, 1.3) * np.array([0.15, 0.15, 0.1, 0.5, 0.5, 0.12])),
-        gust_time=(float(rng.uniform(0.3, 1.0)), float(rng.uniform(0.03, 0.12))),
-    )
+    moments = (float(roll), float(roll * rng.uniform(0.85, 1.15)), float(rng.uniform(2.5, 5.0)))
+    inertia = (float(jx), float(jx * rng.uniform(0.85, 1.15)))
+    gust = tuple(rng.uniform(0.7, 1.3) * np.array([0.15, 0.15, 0.1, 0.5, 0.5, 0.12]))
+    times = (float(rng.uniform(0.3, 1.0)), float(rng.uniform(0.03, 0.12)))
+    return Machine(system, float(gain), offset, moments, inertia, {}, gust, times)
 
 
 def _sized(name: str, system: str, rng: np.random.Generator) -> dict[str, Any]:
@@ -127,17 +113,8 @@ def _sized(name: str, system: str, rng: np.random.Generator) -> dict[str, Any]:
 def flights_of(case: Case) -> list[Flight]:
     """The four flights of a case: no two paths alike, one of them often flown by stick."""
     rng = np.random.default_rng([case.seed, 0])
-    paths = [PATHS[i] for i in rng.permutation(len(PATHS))]
-    noise, vigour = float(rng.uniform(0.7, 1.4)), float(rng.uniform(0.9, 1.4))
-    known = tuple(float(v) for v in rng.uniform(0.9, 1.1, 4))
-    out, t0 = [], 0.0
-    for k in range(FLIGHTS):
-        seconds = float(np.round(rng.uniform(40.0, 45.0), 2))
-        out.append(
-            Flight(case.machine, paths[k], case.regime, seconds, t0, case.seed * 8 + k, noise, vigour, known)
-        )
-        t0 = round(t0 + seconds + PAUSE_S, 2)
-    return out
+    seconds = lambda: float(np.round(rng.uniform(40.0, 45.0), 2))  # noqa: E731
+    return several(case.machine, rng, case.regime, case.seed * 8, FLIGHTS, seconds)
 
 
 def write(case: Case, logged: list[Logged], folder: Path) -> None:

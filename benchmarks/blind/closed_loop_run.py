@@ -9,17 +9,16 @@ Each case is `nsde diagnose system=... data=csv data.path=... retrain=false` on 
 signals from outside the loop (`data.instruments=[...]`).
 """
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from itertools import product
 from pathlib import Path
 from typing import Any
 
-from study import Json, answered, held, markdown, missing, options, read_json, truth_of, write_json
+from study import Json, answered, held, holds, markdown, missing, options, read_json, truth_of, write_json
 
 GAINS = ("thrust_gain", "roll_gain", "pitch_gain", "yaw_gain")
 MOVES = 1.1
@@ -56,19 +55,19 @@ def judge(truth: Mapping[str, Any], answer: Mapping[str, Any], found: Mapping[st
     if found is None:
         return out
     added = found["added"]
-    own = [f for f in found["findings"] if f["name"] == true]
+    own = next((f for f in found["findings"] if f["name"] == true), {})
     ties = [t["effects"] for t in found["ties"] if t["effects"][0] in added]
     out |= {
         "verdict": found["verdict"],
         "added": added,
         "named": true in added,
-        "first": bool(added) and added[0] == true,
+        "first": added[:1] == [true],
         "alone": added == [true] if true else not added,
-        "tied": any(true in tie for tie in ties),
         "tie": next((tie for tie in ties if true in tie), []),
-        "lead": bool(own and own[0]["lead"]),
-        "lead_reason": (own[0].get("lead_reason") or "") if own else "",
+        "lead": bool(own.get("lead")),
+        "lead_reason": own.get("lead_reason") or "",
     }
+    out["tied"] = bool(out["tie"])
     residuals = [r for r in found["residual"].values() if isinstance(r, dict) and r.get("after")]
     out["moves"] = max((r["before"] / r["after"] for r in residuals), default=1.0) if true else None
     out["inside"], out["intervals"] = held(truth["effects"], found["parameters"]) if out["named"] else (0, 0)
@@ -76,12 +75,9 @@ def judge(truth: Mapping[str, Any], answer: Mapping[str, Any], found: Mapping[st
     for name in GAINS:
         said, gain = found["declared_parameters"].get(name), truth["declared"][name]
         if said and said.get("value"):
-            low, high = said.get("interval_90") or (None, None)
-            out["gains"][name] = {
-                "ratio": said["value"] / gain,
-                "held": None if low is None else bool(low <= gain <= high),
-                "half_width": None if low is None else 0.5 * (high - low) / gain,
-            }
+            ends = said.get("interval_90")
+            inside = holds({"interval_90": ends}, gain) if ends else None
+            out["gains"][name] = {"ratio": said["value"] / gain, "held": inside}
     return out
 
 
@@ -92,57 +88,49 @@ def table(judged: Mapping[str, Json]) -> str:
     done = [j for j in every if "verdict" in j]
     singles, nulls = [j for j in done if j["true"]], [j for j in done if not j["true"]]
 
-    def row(what: str, cases: Sequence[Json], key: Callable[[Json], Any]) -> list[str]:
+    def row(what: str, cases: Sequence[Json], good: Callable[[Json], Any], of: Callable[[Json], int]) -> Any:
         cells = [what]
         for regime in ("all", *regimes):
-            some = [key(j) for j in cases if regime in ("all", j["regime"]) and key(j) is not None]
-            cells.append(f"{sum(map(bool, some))} of {len(some)}" if some else "")
+            some = [j for j in cases if regime in ("all", j["regime"])]
+            total = sum(map(of, some))
+            cells.append(f"{sum(int(good(j)) for j in some)} of {total}" if total else "")
         return cells
 
+    visible = [j for j in singles if j["named"] and j["moves"] >= MOVES]
     rows = [
-        row("diagnosed", every, lambda j: "verdict" in j),
-        row("single effects: named", singles, lambda j: j["named"]),
-        row("named or tied", singles, lambda j: j["named"] or j["tied"]),
-        row("named first", singles, lambda j: j["first"]),
-        row("named, and nothing else", singles, lambda j: j["alone"]),
-        row("named, that cut a residual by 10 %: no lead", singles, _no_lead),
-        row("nothing missing: silent", nulls, lambda j: j["verdict"] == "no_effect"),
-        ["90 % intervals of effects that hold"],
+        row(what, cases, good, lambda j: 1)
+        for what, cases, good in (
+            ("diagnosed", every, lambda j: "verdict" in j),
+            ("single effects: named", singles, lambda j: j["named"]),
+            ("named or tied", singles, lambda j: j["named"] or j["tied"]),
+            ("named first", singles, lambda j: j["first"]),
+            ("named, and nothing else", singles, lambda j: j["alone"]),
+            ("named, that cut a residual by 10 %: no lead", visible, lambda j: not j["lead"]),
+            ("nothing missing: silent", nulls, lambda j: j["verdict"] == "no_effect"),
+        )
     ]
-    for regime in ("all", *regimes):
-        some = [j for j in singles if regime in ("all", j["regime"])]
-        total = sum(j["intervals"] for j in some)
-        rows[-1].append(f"{sum(j['inside'] for j in some)} of {total}" if total else "")
-    seconds = sorted(j["seconds"] for j in every)
-    if seconds:
-        rows.append(["seconds, median (longest)", f"{seconds[len(seconds) // 2]:.0f} ({seconds[-1]:.0f})"])
+    hold = "90 % intervals of effects that hold"
+    rows.append(row(hold, singles, lambda j: j["inside"], lambda j: j["intervals"]))
+    seconds = sorted(j["seconds"] for j in every) or [0.0]
+    rows.append(["seconds, median (longest)", f"{seconds[len(seconds) // 2]:.0f} ({seconds[-1]:.0f})"])
     gains = []
-    for regime in regimes:
-        for logged in (True, False):
-            some = [j for j in done if j["regime"] == regime and j["sticks"] == logged]
-            if some:
-                words = f"{regime}, {'sticks logged' if logged else 'no sticks'}, {len(some)} cases"
-                cells = [_gain([j["gains"][g] for j in some if g in j["gains"]]) for g in GAINS]
-                gains.append([words, *cells])
+    for regime, logged in product(regimes, (True, False)):
+        some = [j for j in done if j["regime"] == regime and j["sticks"] == logged]
+        if some:
+            words = f"{regime}, {'sticks logged' if logged else 'no sticks'}, {len(some)} cases"
+            gains.append([words, *(_gain([j["gains"][g] for j in some if g in j["gains"]]) for g in GAINS)])
     cases = []
     for name, j in sorted(judged.items()):
         tie = f" (tie: {', '.join(j['tie'])})" if j.get("tie") else ""
         said = (", ".join(j.get("added", [])) or "nothing") + tie
+        about = name, j["system"], j["regime"], "yes" if j["sticks"] else "no", j["true"] or "nothing"
         lead = j.get("lead_reason", "") if j.get("lead") else ""
         cut = f"x{j['moves']:.2f}" if j.get("moves") else ""
-        true, verdict = j["true"] or "nothing", j.get("verdict", j["status"])
-        sticks = "yes" if j["sticks"] else "no"
-        cases.append(
-            (name, j["system"], j["regime"], sticks, true, said, verdict, lead, cut, f"{j['seconds']:.0f}")
-        )
+        cases.append((*about, said, j.get("verdict", j["status"]), lead, cut, f"{j['seconds']:.0f}"))
     head = ("case", "system", "regime", "sticks", "true", "answer", "verdict", "lead", "cut", "s")
     of_gains = ("gains found over true, mean (range); intervals that hold", *GAINS)
     parts = (("", "all", *regimes), rows), (of_gains, gains), (head, cases)
     return "\n\n".join("\n".join(markdown(*part)) for part in parts) + "\n"
-
-
-def _no_lead(j: Json) -> bool | None:
-    return not j["lead"] if j["named"] and j["moves"] >= MOVES else None
 
 
 def _gain(found: Sequence[Json]) -> str:
@@ -151,18 +139,6 @@ def _gain(found: Sequence[Json]) -> str:
     ratios = [f["ratio"] for f in found]
     held = [f["held"] for f in found if f["held"] is not None]
     return f"{sum(ratios) / len(ratios):.3f} ({min(ratios):.2f} to {max(ratios):.2f}); {sum(held)} of {len(held)}"
-
-
-def judge_all(folder: Path) -> str:
-    """Judge every case that has an answer; writes `judged.json` and `table.md`."""
-    judged = {}
-    for name, truth, answer in answered(folder):
-        result = folder / "answers" / name / "diagnosis.json"
-        judged[name] = judge(truth, answer, read_json(result) if result.is_file() else None)
-    text = table(judged)
-    write_json(folder / "judged.json", judged)
-    (folder / "table.md").write_text(text, encoding="utf-8")
-    return text
 
 
 def main() -> None:
@@ -181,7 +157,13 @@ def main() -> None:
 
         for k, (name, status) in enumerate(zip(todo, pool.map(one, todo), strict=True), start=1):
             print(f"{name} {status} ({k} of {len(todo)}, {time.perf_counter() - started:.0f} s)", flush=True)
-    print(judge_all(folder))
+    judged = {}
+    for name, truth, answer in answered(folder):
+        result = folder / "answers" / name / "diagnosis.json"
+        judged[name] = judge(truth, answer, read_json(result) if result.is_file() else None)
+    write_json(folder / "judged.json", judged)
+    (folder / "table.md").write_text(table(judged), encoding="utf-8")
+    print(table(judged))
 
 
 if __name__ == "__main__":

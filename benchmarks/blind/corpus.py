@@ -5,24 +5,13 @@
     python benchmarks/blind/corpus.py without --out corpus/before             # again without each rule, where it fires
     python benchmarks/blind/corpus.py rules --out corpus/before                     # the table of that
     python benchmarks/blind/corpus.py thresholds --out corpus/before --sets springs carts --count 5
-    python benchmarks/blind/corpus.py run --out corpus/before --sets recorded \\
-        --logs "published flights=DATA/hexacopter/trajs.pkl" "strong wind=NEURAL_FLY/custom_figure8_baseline_100wind"
 
 Seeds are fixed. Each outcome is a file of its own, so that an interrupted pass goes on where it stopped; a case runs in
-a process of its own, so that none knows what another one registered. `run` says how many answers are right, how many
-machines without an undeclared effect stay silent, how many 90 % intervals of effects hold, and what a case takes;
-`--against` lists the cases whose verdict, effects or ties differ, or a value that moved by a tenth of its half-width.
-
-`without` diagnoses again the cases in which a rule (`ledger_rules`) fires with that rule switched off, at most `--most`
-of a rule and until an answer gets worse; `thresholds` halves and doubles each number of `Decisions`. An answer is
-better than another one that is right where the other is not; of two that are alike in this, one that is sure of fewer
-wrong effects, that names fewer wrong ones, that is sure of more true ones, whose intervals miss fewer.
-
-Logs of real machines are a set, too, of those whose place is given (`RECORDED` has their sources). Nobody knows their
-truth: right is what earlier diagnoses found and independent evidence supports.
+a process of its own, so that none knows what another one registered. `--against` lists the cases whose verdict, effects
+or ties differ, or a value that moved by a tenth of its half-width. `without` diagnoses again the cases in which a rule
+(`ledger_rules`) fires with that rule switched off, at most `--most` of a rule and until an answer gets worse;
+`thresholds` halves and doubles each number of `Decisions`. What a better answer is says `worth`.
 """
-
-from __future__ import annotations
 
 import argparse
 import multiprocessing
@@ -79,44 +68,34 @@ def _generated(system: str, seed: int, count: int, smooth: bool = False) -> dict
     return {case.name: partial(answer, case, number) for number, case in enumerate(some)}
 
 
-def _studied(case: Callable[..., Json], seed: int, count: int, **given: Any) -> dict[str, Make]:
-    """Cases of a study that makes and judges each in one function."""
-
-    def answer(i: int) -> Json:
-        found = case(seed, i, **given)
-        right = two_joints.right(found) if case is two_joints.case else found.get("right", found.get("named"))
-        return _judged(right, found["truth"], found["inside"])
-
+def _numbered(answer: Callable[[int], Json], count: int) -> dict[str, Make]:
     return {f"case_{i:03d}": partial(answer, i) for i in range(count)}
 
 
-def _laws(machine: str, seed: int, count: int) -> dict[str, Make]:
-    """Cases of `laws.py`; the true name is that under which the law was found, where it was."""
-
-    def answer(i: int) -> Json:
-        found = laws.case(machine, 1.0, seed, i)
-        true = []
-        if found.get("there"):  # a lead may be the law too
-            true = [n for n in found["sure"] if n not in found["surely_wrong"]]
-            true += [n for n in found["laws"] if n in found["leads"]]
-        held = found.get("held")
-        inside = None if held is None else [int(held), 1]
-        return _judged(found["named"], true, inside) | {"null": not found["truth"]}
-
-    return {f"case_{i:03d}": partial(answer, i) for i in range(count)}
+def _studied(case: Callable[..., Json], seed: int, i: int, **given: Any) -> Json:
+    """A case of a study that makes and judges each in one function."""
+    found = case(seed, i, **given)
+    right = two_joints.right(found) if case is two_joints.case else found.get("right", found.get("named"))
+    return _judged(right, found["truth"], found["inside"])
 
 
-def _odd_laws(seed: int, count: int) -> dict[str, Make]:
-    """Springs of `flexible_cases.py`, whose law has no short formula: right says so, and is sure of nothing."""
+def _law(machine: str, seed: int, i: int) -> Json:
+    """A case of `laws.py`; the true name is that under which the law was found, where it was."""
+    found = laws.case(machine, 1.0, seed, i)
+    true = []
+    if found.get("there"):  # a lead may be the law too
+        true = [n for n in found["sure"] if n not in found["surely_wrong"]]
+        true += [n for n in found["laws"] if n in found["leads"]]
+    held = found.get("held")
+    inside = None if held is None else [int(held), 1]
+    return _judged(found["named"], true, inside) | {"null": not found["truth"]}
 
-    def answer(i: int) -> Json:
-        law, _, found = written(
-            lambda folder: laws.write("odd_spring", seed, i, folder), "mass_spring_damper"
-        )
-        right = (found["verdict"] == "no_effect") == (law is None) and not found["sure"]
-        return _judged(right, ()) | {"null": law is None}
 
-    return {f"case_{i:03d}": partial(answer, i) for i in range(count)}
+def _odd_law(seed: int, i: int) -> Json:
+    """A spring of `flexible_cases.py`, whose law has no short formula: right says so, and is sure of nothing."""
+    law, _, found = written(lambda folder: laws.write("odd_spring", seed, i, folder), "mass_spring_damper")
+    right = (found["verdict"] == "no_effect") == (law is None) and not found["sure"]
+    return _judged(right, ()) | {"null": law is None}
 
 
 def _flown(seed: int, names: tuple[str, ...], smoother: int | None = None) -> dict[str, Make]:
@@ -138,17 +117,13 @@ def _flown(seed: int, names: tuple[str, ...], smoother: int | None = None) -> di
     return {case.name: partial(answer, case) for case in closed_loop.cases(seed) if case.name in names}
 
 
-def _odd_machines(seed: int, names: tuple[str, ...]) -> dict[str, Make]:
-    """Springs of `odd_springs.py` that stand, or whose encoder or motor has steps: right is sure of nothing wrong."""
-
-    def answer(name: str) -> Json:
-        found = odd_springs.diagnosed(name, seed)
-        odd_springs.judge(found)
-        missed = found["verdict"] == "no_effect" if found["may"] else bool(found["added"])
-        true = [n for n in found["added"] if n in found["may"]]
-        return _judged(not found["surely wrong"] and not missed, true) | {"null": not found["may"]}
-
-    return {name.replace(" ", "_"): partial(answer, name) for name in names}
+def _odd_machine(seed: int, name: str) -> Json:
+    """A spring of `odd_springs.py` that stands, or whose encoder or motor has steps: right is sure of nothing wrong."""
+    found = odd_springs.diagnosed(name, seed)
+    odd_springs.judge(found)
+    missed = found["verdict"] == "no_effect" if found["may"] else bool(found["added"])
+    true = [n for n in found["added"] if n in found["may"]]
+    return _judged(not found["surely wrong"] and not missed, true) | {"null": not found["may"]}
 
 
 def _late(seed: int, count: int) -> dict[str, Make]:
@@ -165,51 +140,29 @@ def _late(seed: int, count: int) -> dict[str, Make]:
     return {case.name: partial(answer, case) for case in some[:count]}
 
 
+_STANDING = ("sticks", "nothing", "levels", "coarse encoder", "slew", "three")
 SETS: dict[str, dict[str, Make]] = {
     "springs": _generated("mass_spring_damper", 8123, 24),
     "carts": _generated("cartpole", 8123, 24),
     "hexacopters": _generated("hexacopter", 8124, 4),
-    "frictions": _studied(two_frictions.case, 1, 10),
-    "positions": _studied(position_only.case, 32, 4, full=False),
-    "positions with rates": _studied(position_only.case, 32, 4, full=True),
-    "joints": _studied(two_joints.case, 202, 5),
-    "laws of springs": _laws("spring", 3001, 10),
-    "laws of carts": _laws("cart", 3001, 4),
-    "odd springs": _odd_laws(8601, 4),
+    "frictions": _numbered(partial(_studied, two_frictions.case, 1), 10),
+    "positions": _numbered(partial(_studied, position_only.case, 32, full=False), 4),
+    "positions with rates": _numbered(partial(_studied, position_only.case, 32, full=True), 4),
+    "joints": _numbered(partial(_studied, two_joints.case, 202), 5),
+    "laws of springs": _numbered(partial(_law, "spring", 3001), 10),
+    "laws of carts": _numbered(partial(_law, "cart", 3001), 4),
+    "odd springs": _numbered(partial(_odd_law, 8601), 4),
     "smoothed springs": _generated("mass_spring_damper", 8123, 10, smooth=True),
     "smoothed carts": _generated("cartpole", 8123, 8, smooth=True),
     "late": _late(8123, 6),
-    "standing": _odd_machines(1, ("sticks", "nothing", "levels", "coarse encoder", "slew", "three")),
+    "standing": {name.replace(" ", "_"): partial(_odd_machine, 1, name) for name in _STANDING},
     "closed loops": _flown(77, ("case_01", "case_05", "case_06", "case_07", "case_11", "case_15", "case_18")),
     "smoothed loops": _flown(77, ("case_01", "case_07", "case_15"), smoother=5),
 }
 """Each answer has `right`, `null`, `inside` and the true names."""
-RECORDED: Mapping[str, tuple[str, tuple[str, ...]]] = {
-    "published flights": ("system=hexacopter data=published", ("motor_lag", "thrust_sag", "flapping_moment")),
-    "strong wind": (  # aerorobotics/neural-fly, data/experiment, the table in a folder of its own
-        "system=quadrotor system.options.yaw_direction=-1",
-        ("constant_wind",),
-    ),
-    "nanobench": ("system=quadrotor data.dt=0.01", ("battery",)),  # syediu/nanobench-iros2026, with a mapping
-}
-"""Arguments of `nsde diagnose` for each log, and the effects that are expected of it."""
-
-
-def _recorded(words: str, expected: tuple[str, ...], path: Path) -> Json:
-    """Diagnose a recorded log by the command line."""
-    from nsde_torch.cli.main import main as nsde
-
-    with tempfile.TemporaryDirectory() as folder:
-        nsde(["diagnose", *words.split(), f"data.path={path}", "retrain=false", f"out_dir={folder}"])
-        found = read_json(Path(folder) / "diagnosis.json")
-    return _judged(set(expected) <= set(found["added"]), expected) | summary(found)
-
-
-# ---- outcomes ------------------------------------------------------------------------------------------
 
 
 def summary(content: Json) -> Json:
-    """What two answers are compared by."""
     return {
         "verdict": content["verdict"],
         "added": content["added"],
@@ -220,18 +173,16 @@ def summary(content: Json) -> Json:
     }
 
 
-def outcome(make: Make, inside: Callable[[], AbstractContextManager[None]], decisions: Json) -> Json:
+def outcome(make: Make, within: Callable[[], AbstractContextManager[None]], decisions: Json) -> Json:
     """Diagnose a case, with rules watched or switched off or another threshold, and judge it.
 
     Answers are judged by their names and intervals: an oracle that a study asks beside it is not worked out.
     """
-    import torch
 
     import nsde_torch.api.diagnosing as api
     from nsde_torch.diagnosis import pipeline
     from nsde_torch.diagnosis.decisions import DECISIONS, Options
 
-    torch.set_num_threads(1)
     original, first, kept = pipeline.diagnose, dict[str, Any](), list[Any]()
 
     def diagnose(*args: Any, **how: Any) -> Any:
@@ -242,7 +193,7 @@ def outcome(make: Make, inside: Callable[[], AbstractContextManager[None]], deci
         elif decisions:
             how["decisions"] = replace(how.get("decisions") or DECISIONS, **decisions)
         started = time.process_time()
-        with inside():
+        with within():
             kept.append(original(*args, **how))
             content = kept[0].content()
         first.update(summary(content), seconds=time.process_time() - started)
@@ -255,11 +206,11 @@ def outcome(make: Make, inside: Callable[[], AbstractContextManager[None]], deci
 
 def _write(path: Path, make: Make, rule: str | None, decisions: Json) -> None:
     fired: dict[str, int] = {}
-    inside: Any = partial(counted, fired)
+    within: Any = partial(counted, fired)
     if rule is not None:
-        inside = partial(without, next(r for r in RULES if r.name == rule))
+        within = partial(without, next(r for r in RULES if r.name == rule))
     try:
-        found = outcome(make, nullcontext if decisions else inside, decisions)
+        found = outcome(make, nullcontext if decisions else within, decisions)
     except Exception as error:  # without a rule a diagnosis may end
         found = {"error": repr(error)}
     write_json(path, {**found, "fired": fired})
@@ -298,9 +249,6 @@ def fires(out: Path, sets: Mapping[str, dict[str, Make]], count: int) -> Found:
     return found
 
 
-# ---- comparisons ---------------------------------------------------------------------------------------
-
-
 def changes(before: Json, after: Json) -> list[str]:
     """What differs between the answers to one case."""
     keys = ("verdict", "added", "ties", "leads")
@@ -317,7 +265,10 @@ def changes(before: Json, after: Json) -> list[str]:
 
 
 def worth(answer: Json) -> tuple[int, ...]:
-    """What answers are compared by, the most important first; larger is better."""
+    """What answers are compared by, the most important first; larger is better.
+
+    Right or not; how few wrong effects are sure, or named; how many true ones are sure; how many intervals hold.
+    """
     true = {*answer["truth"]}
     tied = {n for tie in answer["ties"] for n in tie if not true.isdisjoint(" + ".join(tie).split(" + "))}
     return (
@@ -340,23 +291,16 @@ def compared(before: Json, after: Json) -> tuple[str, list[str]]:
 
 
 def table(found: Found) -> list[str]:
-    """One row a set."""
     rows = []
     for name in dict.fromkeys(key[0] for key in found):
-        cases = [answer for key, answer in found.items() if key[0] == name and "error" not in answer]
+        all_of = [answer for key, answer in found.items() if key[0] == name]
+        cases = [answer for answer in all_of if "error" not in answer]
         nulls = [c for c in cases if c["null"]]
-        held = [sum(c["inside"][k] for c in cases) for k in (0, 1)]
+        right, silent = sum(c["right"] for c in cases), sum(c["right"] for c in nulls)
+        held = " of ".join(str(sum(c["inside"][k] for c in cases)) for k in (0, 1))
         seconds = sum(c.get("seconds", 0.0) for c in cases) / max(len(cases), 1)
-        rows.append(
-            (
-                name,
-                f"{sum(c['right'] for c in cases)} of {sum(key[0] == name for key in found)}",
-                f"{sum(c['right'] for c in nulls)} of {len(nulls)}",
-                f"{held[0]} of {held[1]}",
-                f"{seconds:.1f}",
-                f"{max((c['mb'] for c in cases), default=0.0):.0f}",
-            )
-        )
+        cells = f"{right} of {len(all_of)}", f"{silent} of {len(nulls)}", held, f"{seconds:.1f}"
+        rows.append((name, *cells, f"{max((c['mb'] for c in cases), default=0.0):.0f}"))
     return markdown(("set", "right", "nulls silent", "intervals that hold", "CPU s a case", "MB"), rows)
 
 
@@ -379,12 +323,9 @@ def where(rule: str, found: Found) -> list[tuple[str, str]]:
 
 def again(a: argparse.Namespace, found: Found) -> None:
     """Cases again without each rule, where it fires, until one gets worse; rules that fire in few cases first."""
-    ends = time.monotonic() + 60.0 * a.minutes
     names = [rule.name for rule in RULES if not a.rules or rule.name in a.rules]
     for name in sorted(names, key=lambda rule: len(where(rule, found))):
         for key in where(name, found)[: a.most]:
-            if time.monotonic() > ends:
-                return
             other = kept(a.out, key, SETS[key[0]][key[1]], name)
             if compared(found[key], other)[0] == "worse":
                 break
@@ -436,19 +377,11 @@ def thresholds(a: argparse.Namespace, found: Found) -> None:
 def main() -> None:
     parser = options(__doc__, "out", count=max(map(len, SETS.values())))
     parser.add_argument("what", choices=("run", "without", "rules", "thresholds"))
-    parser.add_argument(
-        "--sets", nargs="*", choices=[*SETS, "recorded"], default=list(SETS), help="some sets"
-    )
-    parser.add_argument("--logs", nargs="+", default=[], metavar="NAME=PATH", help=", ".join(RECORDED))
+    parser.add_argument("--sets", nargs="*", choices=SETS, default=list(SETS), help="some sets")
     parser.add_argument("--against", type=Path, help="folder of the answers of other code")
     parser.add_argument("--most", type=int, default=6, help="most cases in which a rule is switched off")
-    parser.add_argument("--minutes", type=float, default=600.0, help="after which no further case is begun")
     parser.add_argument("--rules", nargs="*", default=[], help="some of the rules alone")
     a = parser.parse_args()
-    logs = {name: Path(path).resolve() for name, path in (word.split("=", 1) for word in a.logs)}
-    if unknown := logs.keys() - RECORDED.keys():
-        parser.error(f"--logs knows {', '.join(RECORDED)}; not {', '.join(sorted(unknown))}")
-    SETS["recorded"] = {name: partial(_recorded, *RECORDED[name], path) for name, path in logs.items()}
     found = fires(a.out, {name: SETS[name] for name in a.sets}, a.count)
     if a.what == "run":
         print("\n".join(table(found)))

@@ -2,20 +2,11 @@
 
     python benchmarks/blind/generate.py --seed 1 --count 300 --out blind/
 
-writes `blind/data/case_000/run_0.csv ...` and `blind/truth/case_000.json`, by the code of `nsde simulate`. Every system
-and every effect of the catalogue that its plant can hold takes its turn, at both levels of noise; sizes are
-log-uniform shares of what moves the machine (see `sizes`). Machines hold nothing else that is undeclared.
-
-| kind | share of the cases | what the plant holds |
-|---|---|---|
-| single | 58 % | one effect of the catalogue |
-| pair | 14 % | two that are not special cases of each other |
-| recording | 6 % | a fault of the recording chain |
-| outside | 11 % | an effect that no catalogue has (`outside`) |
-| null | 11 % | nothing |
+by the code of `nsde simulate`: one effect of the catalogue (21 of 36 cases), two that are not special cases of each
+other, a fault of the recording chain, an effect that no catalogue has (`outside`), or nothing. Every system and every
+effect that its plant can hold takes its turn, at both levels of noise; sizes are log-uniform shares of what moves the
+machine (see `sizes`). Machines hold nothing else that is undeclared.
 """
-
-from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -26,6 +17,7 @@ from typing import Any
 
 import numpy as np
 from outside import OUTSIDE
+from run import KINDS
 from sizes import Values, amplitudes, shapes
 from study import missing, options, pooled
 
@@ -39,7 +31,6 @@ from nsde_torch.simulation import write as write_data
 from nsde_torch.systems import make_system
 
 SYSTEMS = ("mass_spring_damper", "cartpole", "hexacopter")
-KINDS = ("single", "pair", "recording", "outside", "null")
 PERIOD = ("single",) * 21 + ("pair",) * 5 + ("recording",) * 2 + ("outside",) * 4 + ("null",) * 4
 """Kinds in 36 cases."""
 NOISE = {"quiet": 0.5, "noisy": 1.5}
@@ -52,33 +43,15 @@ SHARES: dict[str, tuple[float, float]] = {
 """Least and largest share of what moves the machine, from barely visible to strong: the spring has no gusts."""
 CLEAR = 6.0
 """Factor on the least share of effects in pairs and outside the catalogue."""
-DURATIONS: dict[str, list[float]] = {
-    "mass_spring_damper": [20.0] * 6,
-    "cartpole": [4.0] * 20,
-    "hexacopter": [45.0] * 4,
-}
+DURATIONS = {"mass_spring_damper": [20.0] * 6, "cartpole": [4.0] * 20, "hexacopter": [45.0] * 4}
+FAULTS = ("input_smoothing", "input_delay", "clock_scale", "sensor_bias")
 _TURNED = ("frame_misalignment",)
 _OF_THE_LOG = (*_TURNED, "position_bias[pole]")
-_LATER = (  # than the committed seeds, whose draws stay what they were
-    "drift_velocity",
-    "exchange",
-    "relaxation",
-    "viscoelasticity",
-    "added_inertia",
-    "gravity_torque",
-    "axial_inflow",
-    "rotor_drag",
-    "translational_lift",
-    "asymmetric_lag",
-    "actuator_rate_limit",
-    "tracked_point",
-    "supply_sag",
-    "slung_load",
-    *(f"hidden_mass{of}" for of in ("", "[cart]", "[pole]", "[q1]", "[q2]")),
-    *(f"stop_{side}{of}" for side in ("above", "below") for of in ("", "[cart]", "[q1]", "[q2]")),
-    "link_weight[q1]",
-    "link_weight[q2]",
-)
+_LATER = {  # than the committed seeds, whose draws stay what they were; of every coordinate
+    *("drift_velocity", "exchange", "relaxation", "viscoelasticity", "added_inertia", "gravity_torque"),
+    *("axial_inflow", "rotor_drag", "translational_lift", "asymmetric_lag", "actuator_rate_limit"),
+    *("tracked_point", "supply_sag", "slung_load", "link_weight", "hidden_mass", "stop_above", "stop_below"),
+}
 TIES = (
     {"input_delay", "actuator_lag", "motor_lag"},
     {"thrust_sag", "battery_voltage"},
@@ -92,8 +65,6 @@ _WEAKER = 4
 
 @dataclass(frozen=True)
 class Case:
-    """One blind case."""
-
     name: str  # of its files; tells nothing
     system: str
     kind: str  # one of `KINDS`
@@ -109,13 +80,8 @@ def holdable(system: str) -> list[str]:
     """Effects of the catalogue that a plant can hold, beyond those declared, and that are no fault of the log."""
     machine = make_system(system)
     found = effects_of(system, machine.ports, machine.bound_coordinates())
-    return [name for name in found if not why_not(machine, name) and name not in (*_OF_THE_LOG, *_LATER)]
-
-
-def _tied(a: str, b: str) -> bool:
-    """Whether two effects are laws of one thing that data hardly tell apart."""
-    (one, of), (other, of_other) = split_name(a), split_name(b)
-    return of == of_other and any({one, other} <= tie for tie in TIES)
+    later = {name for name in found if split_name(name)[0] in _LATER}
+    return [name for name in found if not why_not(machine, name) and name not in {*_OF_THE_LOG, *later}]
 
 
 def cases(seed: int, n: int, *, systems: Sequence[str] = SYSTEMS, kinds: Sequence[str] = KINDS) -> list[Case]:
@@ -123,12 +89,13 @@ def cases(seed: int, n: int, *, systems: Sequence[str] = SYSTEMS, kinds: Sequenc
     order = np.random.default_rng([seed, 0])
     turns: dict[tuple[str, str], Iterator[Any]] = {}
     for system in systems:
-        singles = holdable(system)
-        turns[system, "single"] = cycle([singles[i] for i in order.permutation(len(singles))])
-        outside = OUTSIDE[system]
-        turns[system, "outside"] = cycle([outside[i] for i in order.permutation(len(outside))])
-        faults = _faults(system)
-        turns[system, "recording"] = cycle([faults[i] for i in order.permutation(len(faults))])
+        every = {
+            "single": holdable(system),
+            "outside": OUTSIDE[system],
+            "recording": [*FAULTS, *(_TURNED if system == "hexacopter" else ())],
+        }
+        for kind, some in every.items():
+            turns[system, kind] = cycle([some[i] for i in order.permutation(len(some))])
     period = [k for k in (PERIOD[i] for i in order.permutation(len(PERIOD))) if k in kinds]
     made = []
     digits = max(3, len(str(n - 1)))
@@ -151,7 +118,7 @@ def _filled(case: Case, turns: dict[tuple[str, str], Iterator[Any]], rng: np.ran
     if kind == "recording":
         return replace(case, recording=_fault(next(turns[system, kind]), system, rng))
     if kind == "single":
-        chosen: list[tuple[str, type[Effect]]] = [_named(next(turns[system, kind]))]
+        chosen: list[tuple[str, type[Effect]]] = [(name := next(turns[system, kind]), effect_class(name))]
     elif kind == "outside":
         cls = next(turns[system, kind])
         chosen = [(f"outside:{cls.__name__}", cls)]
@@ -169,22 +136,15 @@ def _filled(case: Case, turns: dict[tuple[str, str], Iterator[Any]], rng: np.ran
     return replace(case, effects=effects, shares=shares)
 
 
-def _named(name: str) -> tuple[str, type[Effect]]:
-    return name, effect_class(name)
-
-
 def _pair(system: str, rng: np.random.Generator) -> list[tuple[str, type[Effect]]]:
     names = holdable(system)
     while True:
         a, b = (names[i] for i in rng.choice(len(names), 2, replace=False))
         contained = b in effect_class(a).includes or a in effect_class(b).includes
-        if not contained and not _tied(a, b):
-            return [_named(a), _named(b)]
-
-
-def _faults(system: str) -> list[str]:
-    turned = _TURNED if system == "hexacopter" else ()
-    return ["input_smoothing", "input_delay", "clock_scale", "sensor_bias", *turned]
+        (one, of), (other, of_other) = split_name(a), split_name(b)
+        tied = of == of_other and any({one, other} <= tie for tie in TIES)
+        if not contained and not tied:
+            return [(name, effect_class(name)) for name in (a, b)]
 
 
 def _fault(name: str, system: str, rng: np.random.Generator) -> dict[str, Any]:
@@ -212,8 +172,7 @@ def write(case: Case, folder: str | Path) -> Path:
     Effects that the machine cannot survive are made half as strong, a few times (NsdeError: it does not survive the
     weakest); the truth has what was held. Returns the folder of the data.
     """
-    factor = NOISE[case.noise]
-    options = {"variants": 8, "rounds": 1} if case.system == "hexacopter" else {}
+    factor, flying = NOISE[case.noise], case.system == "hexacopter"
     for attempt in range(_WEAKER + 1):
         try:
             made = simulate(
@@ -224,9 +183,9 @@ def write(case: Case, folder: str | Path) -> Path:
                 process_noise=1.0 if case.system == "mass_spring_damper" else factor,
                 sensor_noise=factor,
                 declared_only=True,
-                battery=case.system == "hexacopter",
+                battery=flying,
                 recording=Recording(**case.recording),
-                options=options,
+                options={"variants": 8, "rounds": 1} if flying else {},
             )
             break
         except ConfigError:

@@ -4,15 +4,10 @@
     python benchmarks/blind/hidden_masses.py loads --first 0 --count 4
 
 Every fourth case carries none, and logs of every third begin in the middle of motion. Springs are integrated here by
-Runge and Kutta's method at a millisecond; multirotors are those of `closed_loop.py` with a load on a cable at any
-angle. Nothing of either is shared with the package. Each case is a line: what was found, and each size with its 90 %
-interval and its true value.
+Runge and Kutta's method at a millisecond; multirotors are those of `closed_loop.py` with a load on a cable.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -28,36 +23,25 @@ from nsde_torch.data.raw import RawRun
 RUN_S, PAUSE_S = 30.0, 5.0
 
 
-@dataclass(frozen=True)
-class Hidden:
-    """A mass that is not in the log: over the machine's, its frequency with the machine held [Hz], and its damping."""
-
-    mass: float
-    hertz: float
-    damping: float
-
-
-def hidden_of(rng: np.random.Generator, none: bool) -> Hidden:
-    """A mass of 3 to 30 % on 0.4 to 4 Hz, or none."""
-    mass, hertz, damping = (
-        float(np.exp(rng.uniform(*np.log(ends)))) for ends in ((0.03, 0.3), (0.4, 4.0), (0.02, 0.3))
-    )
-    return Hidden(0.0 if none else mass, hertz, damping)
+def drawn(rng: np.random.Generator, *ends: tuple[float, float]) -> list[float]:
+    """Numbers between ends, even in their logarithms."""
+    return [float(np.exp(rng.uniform(*np.log(of)))) for of in ends]
 
 
 def spring(seed: int) -> tuple[str, list[RawRun], dict[str, float]]:
     """Three runs of a spring; of every other seed, of a loop that reads what is logged."""
     rng = np.random.default_rng([seed, 1])
     none, loop = seed % 4 == 3, bool(rng.integers(2))
-    hidden = hidden_of(rng, none)
+    mass, own_hertz, rubs = drawn(rng, (0.03, 0.3), (0.4, 4.0), (0.02, 0.3))  # over the machine's, [Hz], 1
+    heavy = 0.0 if none else mass
     gain, stiffness, damping = (float(rng.uniform(*ends)) for ends in ((0.6, 2.0), (1.0, 8.0), (0.1, 0.9)))
     dt = float(rng.choice([0.01, 0.02, 0.03]))
     sensors = np.exp(rng.uniform(np.log([0.0003, 0.002]), np.log([0.002, 0.01])))
-    w, fine = 2.0 * np.pi * hidden.hertz, round(dt / STEP)
+    w, fine = 2.0 * np.pi * own_hertz, round(dt / STEP)
 
     def rates(x: Any, u: Array) -> list[Array]:
-        pull = w * w * (x[2] - x[0]) + 2.0 * hidden.damping * w * (x[3] - x[1])
-        own = gain * u - stiffness * x[0] - damping * x[1] + hidden.mass * pull
+        pull = w * w * (x[2] - x[0]) + 2.0 * rubs * w * (x[3] - x[1])
+        own = gain * u - stiffness * x[0] - damping * x[1] + heavy * pull
         return [x[1], own, x[3], -pull]
 
     begun = round(6.0 / dt) if seed % 3 == 1 else 0  # rows that are not logged
@@ -74,8 +58,7 @@ def spring(seed: int) -> tuple[str, list[RawRun], dict[str, float]]:
             x = step(lambda x, u=u: rates(x, u), x, STEP)
     t = dt * np.arange(n)
     out = [RawRun(f"run_{r}", t + r * (RUN_S + PAUSE_S), seen[:, r], inputs[:, r, None]) for r in range(runs)]
-    sizes = {"mass": hidden.mass, "frequency": hidden.hertz, "damping": hidden.damping}
-    return "hidden_mass", out, {} if none else sizes
+    return "hidden_mass", out, {} if none else {"mass": mass, "frequency": own_hertz, "damping": rubs}
 
 
 class Loaded(Bodies):
@@ -109,16 +92,12 @@ def load(seed: int) -> tuple[str, list[RawRun], dict[str, float]]:
     """Four flights of a multirotor under a controller that reads what is logged."""
     rng = np.random.default_rng([seed, 2])
     none = seed % 4 == 3
-    Loaded.mass, Loaded.length, Loaded.damping = (
-        float(np.exp(rng.uniform(*np.log(ends)))) for ends in ((0.05, 0.3), (0.3, 2.5), (0.01, 0.1))
-    )
+    Loaded.mass, Loaded.length, Loaded.damping = drawn(rng, (0.05, 0.3), (0.3, 2.5), (0.01, 0.1))
     machine = _machine("quadrotor" if rng.integers(2) else "hexacopter", rng)
     paths, own = rng.permutation(PATHS).tolist(), int(rng.integers(2**31))
     vigour, known = float(rng.uniform(0.9, 1.4)), tuple(float(v) for v in rng.uniform(0.9, 1.1, 4))
-    flights = [
-        Flight(machine, path, "a", 40.0, 60.0 * k, own + k, 1.0, vigour, known)
-        for k, path in enumerate(paths)
-    ]
+    how = 1.0, vigour, known
+    flights = [Flight(machine, path, "a", 40.0, 60.0 * k, own + k, *how) for k, path in enumerate(paths)]
     flown = fly(flights, Bodies if none else Loaded)
     runs = [RawRun(f"run_{k}", run.t, run.x, run.u) for k, run in enumerate(flown)]
     sizes = {"mass": Loaded.mass, "length": Loaded.length, "damping": Loaded.damping}
@@ -127,19 +106,17 @@ def load(seed: int) -> tuple[str, list[RawRun], dict[str, float]]:
 
 def judged(name: str, found: Mapping[str, Any], true: Mapping[str, float]) -> tuple[bool, list[bool]]:
     """Whether the effect is named alone (or nothing where nothing is), and whether each interval holds; printed."""
-    added, said, holds = found["added"], [], list[bool]()
-    for key, value in true.items():
-        if name not in added:
-            break
+    added, said, inside = found["added"], [], list[bool]()
+    for key, value in true.items() if name in added else ():
         one = found["parameters"][f"{name}.{key}"]
         low, high = one["interval_90"] or (np.nan, np.nan)
-        holds.append(bool(low <= value <= high))
-        mark = "" if holds[-1] else " MISSED"
+        inside.append(bool(low <= value <= high))
+        mark = "" if inside[-1] else " MISSED"
         said.append(f"{key} {one['value']:.4g} ({low:.4g} to {high:.4g}; {value:.4g}){mark}")
     alone = added == ([name] if true else [])
     sure = "" if found["verdict"] == "unexplained" or not added else f" [{found['verdict']}]"
     print("ok " if alone else "BAD", ", ".join(added) or found["verdict"], sure, "; ".join(said), flush=True)
-    return alone, holds
+    return alone, inside
 
 
 def main() -> None:

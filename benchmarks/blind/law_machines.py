@@ -5,14 +5,12 @@ function of the true state; two joints are those of `examples/double_pendulum`. 
 and rates along the body's axes, and the place. The size of a law is drawn as a share of what moves the machine anyway.
 """
 
-from __future__ import annotations
-
 import re
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import loop_flight
 import numpy as np
@@ -25,18 +23,16 @@ import make_data
 
 Term = Callable[[Array, Array, float], Array]
 """A term of unit size of states (n, nx), inputs (n, nu) and its shape, (n,)."""
+JOINTS = "double_pendulum:DoublePendulum"
 SYSTEMS = {
-    **{"spring": "mass_spring_damper", "cart": "cartpole", "joints": "double_pendulum:DoublePendulum"},
-    **{"odd_spring": "mass_spring_damper", "odd_cart": "cartpole"},
-    **{"hexacopter": "hexacopter", "quadrotor": "quadrotor"},
+    **dict.fromkeys(("spring", "odd_spring"), "mass_spring_damper"),
+    **dict.fromkeys(("cart", "odd_cart"), "cartpole"),
+    **{"joints": JOINTS, "hexacopter": "hexacopter", "quadrotor": "quadrotor"},
 }
+_FLYING = ("v_body_x", "v_body_y", "v_body_z", "w_x", "w_y", "w_z", "p_x", "p_y", "p_z")
 VARIABLES = {
     **STATES,
-    "double_pendulum:DoublePendulum": ("q1", "q2", "q1_dot", "q2_dot"),
-    **dict.fromkeys(
-        ("hexacopter", "quadrotor"),
-        ("v_body_x", "v_body_y", "v_body_z", "w_x", "w_y", "w_z", "p_x", "p_y", "p_z"),
-    ),
+    **{JOINTS: ("q1", "q2", "q1_dot", "q2_dot"), "hexacopter": _FLYING, "quadrotor": _FLYING},
 }
 ROWS = {
     **{"force": 0, "torque": 1, "torque[q1]": 0, "torque[q2]": 1},
@@ -100,10 +96,7 @@ TEXTS = {
 """Laws in the grammar of the package, to judge by; they are worked out here by NumPy."""
 
 
-@dataclass(frozen=True)
-class Kind:
-    """One kind of law."""
-
+class Kind(NamedTuple):
     system: str  # name of the machine
     text: str  # the law in the grammar of the package
     row: int  # which of the machine's forces it adds to
@@ -157,8 +150,7 @@ KINDS = {name: [_kind(text, SYSTEMS[name]) for text in texts] for name, texts in
 KINDS |= {name: [Kind(SYSTEMS[name], *law) for law in odd] for name, odd in ODD.items()}
 
 
-@dataclass(frozen=True)
-class Law:
+class Law(NamedTuple):
     """A law of a machine: kind, size and shape."""
 
     kind: Kind
@@ -195,20 +187,14 @@ class LawBodies(Bodies):
         super().__init__(machines, *how)
         self.laws = [m.effects.get("law", {}).get("of") for m in machines]
 
-    def rates(
-        self, p: Array, v: Array, q: Array, w: Array, m: Array, t: Array, push: Array
-    ) -> tuple[Array, Array, Array, Array]:
-        r = rotation(q)
+    def rates(self, p: Array, v: Array, q: Array, w: Array, m: Array, t: Array, push: Array) -> Any:
+        r, pushed = rotation(q), push.copy()
         seen = np.concatenate([np.einsum("bji,bj->bi", r, v), w, p], 1)
-        pushed = push.copy()
         for b, law in enumerate(self.laws):
-            if law is None:
-                continue
-            more = float(law(seen[b : b + 1], m[b : b + 1])[0])
-            if law.kind.row < 3:
-                pushed[b, :3] += r[b][:, law.kind.row] * more
-            else:
-                pushed[b, law.kind.row] += more
+            if law is not None:
+                more = float(law(seen[b : b + 1], m[b : b + 1])[0])
+                row = law.kind.row
+                pushed[b] += np.r_[r[b][:, row], 0, 0, 0] * more if row < 3 else more * (np.arange(6) == row)
         return super().rates(p, v, q, w, m, t, pushed)
 
 
@@ -217,18 +203,14 @@ def flights(
 ) -> list[loop_flight.Logged]:
     """Flights of a machine whose `effects` may hold a law, one for each path."""
     rng = np.random.default_rng([seed, 9])
-    return loop_flight.fly(
-        [
-            loop_flight.Flight(machine, path, "a", seconds, 0.0, int(rng.integers(2**31)), noise, 1.2)
-            for path in paths
-        ],
-        LawBodies,
-    )
+    asked = [
+        loop_flight.Flight(machine, path, "a", seconds, 0.0, int(rng.integers(2**31)), noise, 1.2)
+        for path in paths
+    ]
+    return loop_flight.fly(asked, LawBodies)
 
 
 def joint_push(law: Law | None) -> make_data.Push:
-    """The torques of a law on two joints."""
-
     def push(q: Array, w: Array) -> Array:
         out = np.zeros(2)
         if law is not None:

@@ -9,8 +9,6 @@ told the law, with its size and shape free, and adds nothing. Surely wrong is wh
 of a tie, where a diagnosis says that it found an effect.
 """
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,7 +17,7 @@ import closed_loop
 import law_machines as machines
 import numpy as np
 from law_machines import KINDS, ODD, SYSTEMS, Kind, Law, make_data
-from study import STATES, Array, Json, answers, diagnosed, numbered, options, save, written
+from study import STATES, Array, Json, answers, diagnosed, holds, numbered, options, save, written
 
 PATHS = {
     "hexacopter": ("waypoints", "circle", "sines", "waypoints"),
@@ -30,8 +28,6 @@ EVERY_NULL = 4
 NULLS_ONLY = 100_000
 """Seeds from which all cases are nulls."""
 ALIKE = 0.999
-NEAR = 1.1
-"""Ratio of errors to those of the oracle up to which the law is as good as told."""
 
 
 def drawn(machine: str, seed: int, i: int) -> tuple[np.random.Generator, Kind | None]:
@@ -53,28 +49,25 @@ def write(machine: str, seed: int, i: int, folder: Path, weaker: float = 1.0) ->
     runs, seconds = int(rng.integers(4, 9)), float(rng.uniform(10.0, 20.0))
     if machine == "joints":
         return _joints(kind, share * sign, rng, own, folder)
-    state = rng.bit_generator.state
-    plain = machines.small_runs(SYSTEMS[machine], None, rng, own, runs, seconds)
-    law = _sized(kind, share * sign, [(x, u) for _, x, u in plain], _force(plain))
+    system, state, how = SYSTEMS[machine], rng.bit_generator.state, (own, runs, seconds)
+    plain = machines.small_runs(system, None, rng, *how)
+    # what speeds the machine up, from differences over ten rows
+    rates = np.concatenate([(x[10:, 1] - x[:-10, 1]) / (t[10] - t[0]) for t, x, _ in plain])
+    force = float(np.sqrt(np.mean(np.square(rates))))
+    law = _sized(kind, share * sign, [(x, u) for _, x, u in plain], force)
+    still = np.concatenate([part for _, part, _ in plain])
     for _ in range(6):
         rng.bit_generator.state = state
         with np.errstate(all="ignore"):
-            made = machines.small_runs(SYSTEMS[machine], law, rng, own, runs, seconds)
+            made = machines.small_runs(system, law, rng, *how)
         x = np.concatenate([part for _, part, _ in made])
-        still = np.concatenate([part for _, part, _ in plain])
         if np.isfinite(x).all() and bool((np.abs(x[:, :2]).max(0) < 2.0 * np.abs(still[:, :2]).max(0)).all()):
             break
         assert law is not None  # it drove the machine off: of the other sign, and smaller
         law = Law(law.kind, -0.7 * law.size, law.shape)
     for r, (t, x, u) in enumerate(made):
-        save(folder / f"run_{r}.csv", ("t", *STATES[SYSTEMS[machine]], "force"), [t, x, u])
+        save(folder / f"run_{r}.csv", ("t", *STATES[system], "force"), [t, x, u])
     return law
-
-
-def _force(runs: list[tuple[Array, Array, Array]]) -> float:
-    """Root mean square of what speeds the machine up, from differences over ten rows."""
-    rates = [(x[10:, 1] - x[:-10, 1]) / (t[10] - t[0]) for t, x, _ in runs]
-    return float(np.sqrt(np.mean(np.square(np.concatenate(rates)))))
 
 
 def _sized(kind: Kind | None, share: float, runs: list[tuple[Array, Array]], force: float) -> Law | None:
@@ -96,14 +89,13 @@ def _joints(kind: Kind | None, share: float, rng: np.random.Generator, seed: int
     swing = np.random.default_rng(seed).normal(size=(4000, 4)) * (0.5, 0.7, 2.0, 4.0)
     law = _sized(kind, 2.0 * share, [(swing, np.zeros((4000, 2)))], torque)
     noise = float(rng.uniform(0.3, 1.5))
+    how = {"seed": seed % 100000, "runs": 4, "seconds": 12.0, "noise": noise}
     with np.errstate(all="ignore"):
         for _ in range(12):
             if law is None or _stays(law, seed % 100000):
                 break
             law = Law(law.kind, -0.8 * law.size, law.shape)  # it drives the machine off
-        make_data.write(
-            folder, machines.joint_push(law), seed=seed % 100000, runs=4, seconds=12.0, noise=noise
-        )
+        make_data.write(folder, machines.joint_push(law), **how)
     return law
 
 
@@ -134,31 +126,27 @@ def _multirotor(
 
 
 def case(machine: str, weaker: float, seed: int, i: int) -> Json:
-    """Make, diagnose and judge one case."""
     import nsde_torch
 
-    system, data = SYSTEMS[machine], None
+    logs = []
 
     def read(folder: Path) -> Law | None:
-        nonlocal data
         law = write(machine, seed, i, folder, weaker)
-        data = nsde_torch.read(folder, system=system)
+        logs.append(nsde_torch.read(folder, system=SYSTEMS[machine]))
         return law
 
-    law, found, answer = written(read, system)
+    law, found, answer = written(read, SYSTEMS[machine])
     truth = None if law is None else {"law": law.kind.text, "c1": law.size, "k1": law.shape}
     out: Json = {"case": i, "machine": machine, "truth": truth, **answer}
     out["laws"] = [name for name in answer["added"] if "=" in name]
     if law is None:
         return out | {"named": not out["added"], "false_law": bool(out["laws"]), "surely_wrong": out["sure"]}
     start = {"c1": law.size, **({"k1": law.shape} if law.kind.shape is not None else {})}
-    oracle = diagnosed(data, system, effects={law.kind.text: start}, max_effects=0)[0].content()
+    oracle = diagnosed(logs[0], SYSTEMS[machine], effects={law.kind.text: start}, max_effects=0)[0].content()
     content = found.content()
     same = [name for name in out["laws"] if _same(found, name, law)]
     return out | {
-        "moves": _ratio(content["errors"], oracle["errors"], "before"),
-        "beside_oracle": _ratio(content["errors"], oracle["errors"], "after"),
-        "channel": max(content["residual"], key=lambda c: _change(oracle["residual"][c], content, c)),
+        "moves": _ratio(content["errors"]["before"], oracle["errors"]["after"]),
         "there": bool(same),
         "named": len(same) == 1 and len(out["added"]) == 1,
         "false_law": any(name not in same for name in out["laws"]),
@@ -167,22 +155,15 @@ def case(machine: str, weaker: float, seed: int, i: int) -> Json:
     }
 
 
-def _change(told: Json, content: Json, channel: str) -> float:
-    return float(content["residual"][channel]["before"] / max(told["after"], 1e-12))
-
-
-def _ratio(mine: Json, told: Json, when: str) -> float:
+def _ratio(mine: Json, told: Json) -> float:
     """Largest ratio of errors on runs left out to those of the oracle, over quantities, at the middle horizon."""
-    out = []
-    for name, by_horizon in told["after"].items():
-        h = list(by_horizon)[len(by_horizon) // 2]
-        if by_horizon[h] and mine[when][name].get(h):
-            out.append(mine[when][name][h] / by_horizon[h])
-    return float(max(out, default=float("nan")))
+    middle = {name: list(by)[len(by) // 2] for name, by in told.items()}
+    pairs = [(mine[name].get(h), told[name][h]) for name, h in middle.items()]
+    return float(max((one / two for one, two in pairs if one and two), default=float("nan")))
 
 
-def _values(found: Any, name: str) -> Array:
-    """What a law of the diagnosis adds at the logged states (n,), with its values."""
+def _both(found: Any, name: str, law: Law) -> tuple[Array, Array]:
+    """What a law of the diagnosis, with its values, and the true law add at the logged states (n,)."""
     import torch
 
     from nsde_torch.diagnosis.candidates import effect_of
@@ -190,28 +171,22 @@ def _values(found: Any, name: str) -> Array:
 
     system = found.outcome.system.double()
     effect = effect_of(system, name)
-    runs = found.recorded.runs
-    x, u = (torch.from_numpy(np.concatenate([getattr(run, k) for run in runs])) for k in ("x", "u"))
+    x, u = (np.concatenate([getattr(run, k) for run in found.recorded.runs]) for k in ("x", "u"))
+    states, inputs = torch.from_numpy(x), torch.from_numpy(u)
     with torch.no_grad():
-        seen = seen_by(system, effect, 0.0, system.augment(x, u), u)
-        return np.asarray(effect(0.0, x, seen, x[:, :0]).sum(1).numpy())
-
-
-def _true(found: Any, law: Law) -> Array:
-    """What the true law adds at the logged states (n,)."""
-    runs = found.recorded.runs
-    x, u = (np.concatenate([getattr(run, k) for run in runs]) for k in ("x", "u"))
+        seen = seen_by(system, effect, 0.0, system.augment(states, inputs), inputs)
+        mine = np.asarray(effect(0.0, states, seen, states[:, :0]).sum(1).numpy())
     if law.kind.system in PATHS:
         r = machines.rotation(x[:, 6:10])
         x = np.concatenate([np.einsum("bji,bj->bi", r, x[:, 3:6]), x[:, 10:13], x[:, :3]], 1)
-    return law(x, u)
+    return mine, law(x, u)
 
 
 def _same(found: Any, name: str, law: Law) -> bool:
     """Whether a law that was found is the same function in the same row."""
     if name.partition(" = ")[0] != law.kind.text.partition(" = ")[0]:
         return False
-    mine, true = _values(found, name), _true(found, law)
+    mine, true = _both(found, name, law)
     return bool(abs(mine @ true) / np.sqrt((mine @ mine) * (true @ true)) > ALIKE)
 
 
@@ -220,38 +195,36 @@ def _held(found: Any, name: str, law: Law, parameters: Json) -> bool | None:
     said = parameters[f"{name}.c1"]
     if said["interval_90"] is None:
         return None
-    mine, true = _values(found, name), _true(found, law)
+    mine, true = _both(found, name, law)
     size = said["value"] * float(mine @ true) / float(mine @ mine)
     if law.kind.shape is not None and f"{name}.k1" in parameters:
         size = law.size
-    low, high = said["interval_90"]
-    return bool(low <= size <= high)
+    return holds({"interval_90": said["interval_90"]}, size)
 
 
 def table(done: list[Json]) -> list[str]:
-    """Counts by machine."""
     out = []
     for machine in dict.fromkeys(d["machine"] for d in done):
         own = [d for d in done if d["machine"] == machine]
         laws, nulls = [d for d in own if d["truth"]], [d for d in own if not d["truth"] and "error" not in d]
         there = [d for d in laws if d.get("there")]
         held = [d["held"] for d in there if d["held"] is not None]
-        near = [d for d in laws if d.get("beside_oracle", np.inf) <= NEAR]
+
+        def count(some: list[Json], key: str) -> str:
+            return f"{sum(bool(d.get(key)) for d in some)}"
+
         out.append(
-            f"{machine}: {sum(bool(d.get('named')) for d in laws)} of {len(laws)} laws named alone, "
-            f"{len(there)} named, {sum(held)} of {len(held)} sizes in their interval, "
-            f"{len(near)} within 10 % of the oracle, "
-            f"{sum(bool(d.get('false_law')) for d in laws)} with a false law, "
-            f"{sum(bool(d.get('surely_wrong')) for d in laws)} with anything wrong that is no lead; "
-            f"{sum(bool(d['laws']) for d in nulls)} of {len(nulls)} nulls with a law, "
-            f"{sum(bool(d['added']) for d in nulls)} with any effect; "
-            f"median {np.median([d['seconds'] for d in own if 'seconds' in d]):.0f} s"
+            f"{machine}: {count(laws, 'named')} of {len(laws)} laws named alone, {len(there)} named, "
+            f"{sum(held)} of {len(held)} sizes in their interval, "
+            f"{count(laws, 'false_law')} with a false law, {count(laws, 'surely_wrong')} with anything wrong that "
+            f"is no lead; of {len(nulls)} nulls {count(nulls, 'laws')} with a law, {count(nulls, 'added')} with any "
+            f"effect; median {np.median([d['seconds'] for d in own if 'seconds' in d]):.0f} s"
         )
     return out
 
 
 def line(answer: Json) -> str:
-    keys = ("named", "leads", "surely_wrong", "held", "moves", "beside_oracle", "seconds", "error")
+    keys = ("named", "leads", "surely_wrong", "held", "moves", "seconds", "error")
     return f"{answer['case']} {answer['truth']} -> {answer['added']} { {k: answer.get(k) for k in keys} }"
 
 

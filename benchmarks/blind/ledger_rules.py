@@ -5,26 +5,19 @@ replacement takes the function that was there and its arguments. A rule fires wh
 there without it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from dataclasses import replace
 from importlib import import_module
-from typing import Any
+from typing import Any, NamedTuple
 
 Function = Callable[..., Any]
 
 
-@dataclass(frozen=True)
-class Rule:
-    """A rule that rewrites an outcome."""
-
+class Rule(NamedTuple):
     name: str
     purpose: str
-    where: tuple[
-        str, ...
-    ]  # names in `nsde_torch.diagnosis`, `module.name`; with `inference.` before it, there
+    where: tuple[str, ...]  # `module.name` in `nsde_torch.diagnosis`; with `inference.` before it, there
     off: Function  # what is there without it, by the function itself and its arguments
     fires: Function  # whether a result, with the arguments, is not what would be there without the rule
 
@@ -44,11 +37,6 @@ def anything(result: Any, *args: Any, **kwargs: Any) -> bool:
     return bool(result)
 
 
-def other_than(number: int) -> Function:
-    """Whether the result is another object than one of the arguments."""
-    return lambda result, *args, **kwargs: result is not args[number]
-
-
 def marked(number: int) -> Function:
     """Whether a finding became a lead for this reason, or the verdict another."""
 
@@ -62,13 +50,6 @@ def marked(number: int) -> Function:
 
 def _names(found: Iterable[Any]) -> list[str]:
     return [f.name for f in found]
-
-
-# ---- rules whose neutral form takes more than a constant ------------------------------------------------
-
-
-def _nothing_set_aside(original: Function, search: Any, chosen: Any, log: Any) -> Any:
-    return replace(chosen, test=log.loop(chosen.final))
 
 
 def _no_second_look(original: Function, search: Any, place: Any, *before: Any) -> Any:
@@ -85,14 +66,6 @@ def _all_rows(original: Function, log: Any, search: Any, *rest: Any) -> Any:
         search.decisions = there
 
 
-def _fewer(number: int) -> Function:
-    return lambda result, *args, **kwargs: _names(result.found) != _names(args[number].found)
-
-
-def _other_chances(result: Any, tests: Sequence[Any]) -> bool:
-    return any(a.p != b.p for a, b in zip(result, tests, strict=True))
-
-
 def _lead(name: str, purpose: str, number: int = 0) -> Rule:
     """A rule of the pipeline that makes leads, or changes the verdict, of the outcome that is one of its arguments."""
     return Rule(name, purpose, (f"pipeline.{name}",), argument(number), marked(number))
@@ -103,22 +76,26 @@ def _found(name: str, purpose: str, where: str, nothing: Any) -> Rule:
     return Rule(name, purpose, (where,), constant(nothing), anything)
 
 
+def _there(name: str, purpose: str, where: str, nothing: Any = None) -> Rule:
+    """A rule that fires where its result is not None, or its first part is anything."""
+    part = isinstance(nothing, tuple)
+    return Rule(
+        name, purpose, (where,), constant(nothing), lambda r, *a, **k: bool(r[0]) if part else r is not None
+    )
+
+
+def _changed(name: str, purpose: str, *where: str) -> Rule:
+    """A rule that fires where it returns another object than its first argument."""
+    return Rule(name, purpose, where, argument(0), lambda r, *a, **k: r is not a[0])
+
+
+SEARCH = "joint_selection.JointSearch"
 RULES = (
     # ---- of the whole log
-    Rule(
-        "late sensor",
-        "a sensor that is late as a whole explains what effects were named for",
-        ("pipeline._read_again",),
-        argument(0),
-        other_than(0),
+    _changed(
+        "late sensor", "a sensor that is late explains what effects were named for", "pipeline._read_again"
     ),
-    Rule(
-        "without_standstill",
-        "rows in which friction holds the machine are left out",
-        ("pipeline.without_standstill",),
-        argument(0),
-        other_than(0),
-    ),
+    _changed("without_standstill", "rows of standstill are left out", "pipeline.without_standstill"),
     # ---- findings that become leads, and the verdict
     _lead("doubted", "nothing is sure where simple fits speak against the final physics"),
     _lead("sized", "an effect whose interval holds nothing is a lead"),
@@ -126,17 +103,11 @@ RULES = (
     _lead("not_sure", "nothing is sure where rates of several coordinates were inferred", 1),
     _lead("judged_by_the_ceiling", "what functions explain is structure: leads, and the verdict"),
     _found(
-        "structure where it acts",
-        "an effect is a lead where much is left in its channels",
-        "decision._too_much",
-        False,
+        "structure where it acts", "a lead where much is left in its channels", "decision._too_much", False
     ),
     _found("bent shape", "an effect whose shape ends at a bound is a lead", "decision._bent", ""),
     _found(
-        "a law of many",
-        "a law is a lead beside other laws, or where inputs know more than the log",
-        "decision._of_many",
-        "",
+        "a law of many", "a lead beside laws, or where inputs know more than the log", "decision._of_many", ""
     ),
     _found(
         "tests beyond feedback", "what feedback may hide is no structure", "decision.allowances_of_tests", {}
@@ -146,43 +117,30 @@ RULES = (
         "set_aside",
         "effects that explain no more than feedback may hide are not named",
         ("pipeline.set_aside",),
-        _nothing_set_aside,
-        _fewer(1),
+        lambda original, search, chosen, log: replace(chosen, test=log.loop(chosen.final)),
+        lambda result, search, chosen, log: _names(result.found) != _names(chosen.found),
     ),
     # ---- selection
     Rule(
         "looked_at_again",
         "each effect is looked at again beside the others: dropped or exchanged",
-        ("joint_selection.JointSearch.looked_at_again",),
+        (f"{SEARCH}.looked_at_again",),
         _no_second_look,
         lambda result, search, place, *before: set(result[1]) != search.added(place.system),
     ),
-    _found(
-        "_in_parts",
-        "a simpler effect and another one that are as likely as an effect are indistinguishable from it",
-        "joint_selection.JointSearch._in_parts",
-        (),
-    ),
-    Rule(
+    _found("_in_parts", "two effects that are as likely as one are a tie with it", f"{SEARCH}._in_parts", ()),
+    _there(
         "_nearer_law",
-        "a law of one term that is likelier than an effect stands beside it or takes its place",
-        ("joint_selection.JointSearch._nearer_law",),
-        constant(("", None)),
-        lambda result, *args, **kwargs: bool(result[0]),
+        "a likelier law of one term stands beside an effect, or takes its place",
+        f"{SEARCH}._nearer_law",
+        ("", None),
     ),
-    Rule(
+    _there(
         "_more_once_fitted",
         "a candidate whose linearised step says less than a fit is fitted to the end, and held against blocks left out",
-        ("joint_selection.JointSearch._more_once_fitted",),
-        constant(None),
-        lambda result, *args, **kwargs: result is not None,
+        f"{SEARCH}._more_once_fitted",
     ),
-    _found(
-        "below_a_step",
-        "a time shorter than half a step joins what is declared",
-        "joint_selection.JointSearch._below_a_step",
-        False,
-    ),
+    _found("below_a_step", "a time shorter than half a step is declared", f"{SEARCH}._below_a_step", False),
     Rule(
         "order of candidates",
         "simpler candidates come before what is likeliest",
@@ -197,12 +155,11 @@ RULES = (
         _all_rows,
         lambda result, *args, **kwargs: result[1].final.at.of.apart_s > 0,
     ),
-    Rule(
+    _changed(
         "behind smoothers",
         "behind a smoother effects with memory on inputs are no candidates, and make all else a lead",
-        ("pipeline.behind_smoothers", "pipeline.with_suspects"),
-        argument(0),
-        other_than(0),
+        "pipeline.behind_smoothers",
+        "pipeline.with_suspects",
     ),
     _found(
         "outliers",
@@ -215,7 +172,7 @@ RULES = (
         "one run's own dependence counts only where nothing in all runs explains more",
         ("residual_tests.own_of_runs",),
         lambda original, tests: list(tests),
-        _other_chances,
+        lambda result, tests: any(a.p != b.p for a, b in zip(result, tests, strict=True)),
     ),
     # ---- laws beyond the catalogue
     _found(
@@ -224,12 +181,10 @@ RULES = (
         "beyond_catalogue.of_one_variable",
         False,
     ),
-    Rule(
+    _there(
         "laws named by the catalogue",
         "a law that is an effect of the catalogue takes its name",
-        ("beyond_catalogue.same_effect",),
-        constant(None),
-        lambda result, *args, **kwargs: result is not None,
+        "beyond_catalogue.same_effect",
     ),
     # ---- estimates
     Rule(
@@ -253,10 +208,7 @@ def _holder(where: str) -> tuple[Any, str]:
     return out, path[-1]
 
 
-@contextmanager
-def counted(fired: dict[str, int]) -> Iterator[None]:
-    """Counts how often each rule fires."""
-
+def counted(fired: dict[str, int]) -> AbstractContextManager[None]:
     def wrapped(rule: Rule, original: Function) -> Function:
         def run(*args: Any, **kwargs: Any) -> Any:
             result = original(*args, **kwargs)
@@ -266,32 +218,24 @@ def counted(fired: dict[str, int]) -> Iterator[None]:
 
         return run
 
-    with _replaced(RULES, wrapped):
-        yield
+    return _replaced(RULES, wrapped)
 
 
-@contextmanager
-def without(rule: Rule) -> Iterator[None]:
-    """A rule switched off."""
-
+def without(rule: Rule) -> AbstractContextManager[None]:
     def wrapped(rule: Rule, original: Function) -> Function:
-        return lambda *args, **kwargs: rule.off(original, *args, **kwargs)
+        return lambda *args, **kwargs: rule.off(
+            original, *args, **kwargs
+        )  # binds to a class, unlike a partial
 
-    with _replaced((rule,), wrapped):
-        yield
+    return _replaced((rule,), wrapped)
 
 
 @contextmanager
 def _replaced(rules: Sequence[Rule], wrapped: Callable[[Rule, Function], Function]) -> Iterator[None]:
-    before: list[tuple[Any, str, Function]] = []
-    try:
+    with ExitStack() as stack:
         for rule in rules:
-            for where in rule.where:
-                holder, name = _holder(where)
+            for holder, name in map(_holder, rule.where):
                 original = getattr(holder, name)
-                before.append((holder, name, original))
+                stack.callback(setattr, holder, name, original)
                 setattr(holder, name, wrapped(rule, original))
         yield
-    finally:
-        for holder, name, original in reversed(before):
-            setattr(holder, name, original)

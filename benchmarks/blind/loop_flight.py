@@ -1,9 +1,8 @@
 """Flights of the closed-loop cases: wanted paths, sensors, a cascade of controllers, and what is logged of them.
 
-Paths are waypoints (steps through a filter of fourth order), circles, sums of sines, or a pilot's sticks: random tilts
-that a weak hold keeps about one place. What is asked for from outside the loop is the acceleration and the yaw rate of
-the path, or the sticks; both are logged alike as `stick_roll`, `stick_pitch`, `stick_yaw`, `stick_thrust` [rad, rad,
-rad/s, m/s2] and are functions of time alone. The setpoints of the rate loop, `setpoint_rate_x` ..., answer the state.
+Paths are waypoints, circles, sums of sines, or a pilot's sticks: random tilts that a weak hold keeps about one place.
+What is asked for from outside the loop is logged as `stick_roll`, `stick_pitch`, `stick_yaw`, `stick_thrust` [rad, rad,
+rad/s, m/s2], functions of time alone. The setpoints of the rate loop, `setpoint_rate_x` ..., answer the state.
 
     v* = v_w + k_p (p_w - p),   a* = a_w + k_v (v* - v) + integral,   R* from a* + g and yaw
     omega* = -k_a vee(R*^T R - R^T R*) / 2,   alpha = k_r (omega* - omega) + integral,   u = mixer(a* . z, alpha)
@@ -17,9 +16,9 @@ Regimes, which say what the controller sees:
         ten, after a step of its setpoint, and larger than their mean (5 % where the rate loop closes at 11 rad/s)
 """
 
-from __future__ import annotations
-
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import numpy as np
 from loop_machine import STEP, Array, Bodies, G, Machine, cross, product, rotation
@@ -31,14 +30,14 @@ PATHS = ("waypoints", "circle", "sines", "sticks")
 SENSORS = np.array([0.002] * 3 + [0.015] * 3 + [np.radians(0.15)] * 3 + [0.015] * 3)
 """Noise of position [m], velocity [m/s], attitude [rad] and rate [rad/s], times the factor of the case."""
 BETTER = 0.25
+PAUSE_S = 15.0
+"""Time between two flights on the clock [s]."""
 STICKS = ("stick_roll", "stick_pitch", "stick_yaw", "stick_thrust")
 RATES = ("setpoint_rate_x", "setpoint_rate_y", "setpoint_rate_z")
 
 
 @dataclass(frozen=True)
 class Flight:
-    """One flight."""
-
     machine: Machine
     path: str  # one of `PATHS`
     regime: str  # one of `REGIMES`
@@ -47,9 +46,7 @@ class Flight:
     seed: int
     sensor_noise: float = 1.0  # factor on the noise of the log's sensors
     vigour: float = 1.0  # factor on accelerations that are asked for
-    known: tuple[float, ...] = (
-        1.0,
-    ) * 4  # how far the controller's thrust and three gains are off, as factors
+    known: tuple[float, ...] = (1.0,) * 4  # how far the controller's thrust and gains are off, as factors
     log: float = LOG  # step of the log and of a controller that reads it [s], whole milliseconds
 
 
@@ -64,8 +61,7 @@ class Logged:
     truth: Array = field(repr=False)
 
 
-@dataclass(frozen=True)
-class Wanted:
+class Wanted(NamedTuple):
     """What is asked for, time first: position, velocity, acceleration (n, 3), yaw and its rate (n,), and the hold."""
 
     p: Array
@@ -85,46 +81,34 @@ def wanted(flight: Flight) -> Wanted:
     height = 1.3
     yaw = _sines(t, rng, 3, (0.03, 0.25), 0.35 * size)
     yaw_rate = np.gradient(yaw, dt)
-    hold = 1.0
+    if flight.path == "sticks":
+        tilt = np.stack([_sines(t, rng, 8, (0.15, 1.6), 1.4 * size, flat=True) for _ in range(2)], 1)
+        a = np.concatenate([tilt, _sines(t, rng, 6, (0.1, 1.0), 0.7 * size, flat=True)[:, None]], 1)
+        return Wanted(np.tile([0.0, 0.0, height], (len(t), 1)), 0 * a, a, yaw, yaw_rate, 0.3)
     if flight.path == "waypoints":
         p = _waypoints(t, rng, size, dt) + np.array([0, 0, height])
     elif flight.path == "circle":
         speed, radius = rng.uniform(1.2, 2.4) * np.sqrt(size), rng.uniform(1.0, 2.0)
         phase = np.cumsum(speed / radius * (0.6 + 0.4 * np.sin(2 * np.pi * rng.uniform(0.1, 0.25) * t))) * dt
         heave = _sines(t, rng, 3, (0.1, 0.4), 0.3)
-        p = np.stack(
-            [radius * np.cos(phase) * rng.choice((-1, 1)), radius * np.sin(phase), height + heave], 1
-        )
-    elif flight.path == "sines":
+        east = radius * np.cos(phase) * rng.choice((-1, 1))
+        p = np.stack([east, radius * np.sin(phase), height + heave], 1)
+    else:
         p = np.stack([_sines(t, rng, 5, (0.08, 0.7), s) for s in (1.0 * size, 1.0 * size, 0.35)], 1)
         p[:, 2] += height
-    elif flight.path == "sticks":
-        tilt = np.stack([_sines(t, rng, 8, (0.15, 1.6), 1.4 * size, flat=True) for _ in range(2)], 1)
-        a = np.concatenate([tilt, _sines(t, rng, 6, (0.1, 1.0), 0.7 * size, flat=True)[:, None]], 1)
-        still = np.tile([0.0, 0.0, height], (len(t), 1))
-        return Wanted(still, 0 * a, a, yaw, yaw_rate, 0.3)
-    else:
-        raise ValueError(f"`path` must be one of {', '.join(PATHS)}; got {flight.path!r}.")
     p[:, 2] = np.maximum(p[:, 2], 0.3)
     v = np.gradient(p, dt, axis=0)
-    return Wanted(p, v, np.gradient(v, dt, axis=0), yaw, yaw_rate, hold)
+    return Wanted(p, v, np.gradient(v, dt, axis=0), yaw, yaw_rate, 1.0)
 
 
 def _sines(
-    t: Array,
-    rng: np.random.Generator,
-    count: int,
-    band: tuple[float, float],
-    rms: float,
-    *,
-    flat: bool = False,
+    t: Array, rng: np.random.Generator, count: int, band: tuple[float, float], rms: float, flat: bool = False
 ) -> Array:
     """A sum of sines with random frequencies [Hz], falling as 1 / f^2 (or flat)."""
     f = np.exp(rng.uniform(*np.log(band), size=count))
     size = rng.uniform(0.5, 1.0, count) * (1.0 if flat else (band[0] / f) ** 1.5)
-    out = (
-        size[:, None] * np.sin(2 * np.pi * f[:, None] * t + rng.uniform(0, 2 * np.pi, count)[:, None])
-    ).sum(0)
+    turn, phase = 2 * np.pi * f[:, None] * t, rng.uniform(0, 2 * np.pi, count)[:, None]
+    out = (size[:, None] * np.sin(turn + phase)).sum(0)
     return np.asarray(out * rms / np.sqrt(0.5 * (size**2).sum()))
 
 
@@ -158,11 +142,11 @@ class _Noise:
         return np.asarray(self._piece[self._k - 1])
 
 
-def measured(body: Bodies, noise: Array) -> Array:
+def measured(true: Array, noise: Array) -> Array:
     """Measured states (B, 13): the attitude is turned by a small rotation."""
     turn = np.concatenate([np.ones((len(noise), 1)), 0.5 * noise[:, 6:9]], 1)
-    q = product(body.q, turn / np.linalg.norm(turn, axis=1, keepdims=True))
-    return np.concatenate([body.p + noise[:, :3], body.v + noise[:, 3:6], q, body.w + noise[:, 9:]], 1)
+    q = product(true[:, 6:10], turn / np.linalg.norm(turn, axis=1, keepdims=True))
+    return np.concatenate([true[:, :6] + noise[:, :6], q, true[:, 10:] + noise[:, 9:]], 1)
 
 
 class Cascade:
@@ -219,15 +203,15 @@ def fly(flights: list[Flight], bodies: type[Bodies] = Bodies) -> list[Logged]:
     Nothing that is logged of one depends on the other flights of the batch.
     """
     regime = flights[0].regime
-    if any(f.regime != regime for f in flights):
-        raise ValueError("`flights` must be of one regime; fly those of each by themselves.")
     dt = flights[0].log
-    if any(f.log != dt for f in flights):
-        raise ValueError("`flights` must be logged at one rate; fly those of each by themselves.")
+    if any((f.regime, f.log) != (regime, dt) for f in flights):
+        raise ValueError(
+            "`flights` must be of one regime and logged at one rate; fly those of each by themselves."
+        )
     ticks = round(dt / STEP)
     paths = [wanted(f) for f in flights]
     n = [len(path.yaw) for path in paths]
-    asked = [_stacked(paths, part, max(n)) for part in ("p", "v", "a", "yaw", "yaw_rate")]
+    asked = [_stacked(part, max(n)) for part in list(zip(*paths, strict=True))[:-1]]
     gust = _Noise([[f.seed, 3] for f in flights], 6)
     body = bodies([f.machine for f in flights], np.array([f.t0 for f in flights]), gust)
     body.p, body.v = asked[0][0].copy(), asked[1][0].copy()
@@ -245,9 +229,9 @@ def fly(flights: list[Flight], bodies: type[Bodies] = Bodies) -> list[Logged]:
             # what a controller at 1 kHz is asked for moves between rows too
             ahead = tick / ticks if regime == "c" and k + 1 < max(n) else 0.0
             now = tuple(part[k] + ahead * (part[min(k + 1, max(n) - 1)] - part[k]) for part in asked)
-            logged = measured(body, std * log_noise()) if tick == 0 else None
-            fast = regime in "cd"
-            other = measured(body, own * own_noise()) if fast or (tick == 0 and regime == "b") else None
+            fast, true = regime in "cd", np.concatenate([body.p, body.v, body.q, body.w], 1)
+            logged = measured(true, std * log_noise()) if tick == 0 else None
+            other = measured(true, own * own_noise()) if fast or (tick == 0 and regime == "b") else None
             if tick == 0 or regime == "c":
                 seen = logged if regime in "ad" else other
                 assert seen is not None
@@ -260,21 +244,15 @@ def fly(flights: list[Flight], bodies: type[Bodies] = Bodies) -> list[Logged]:
                 load = (u * body.there).sum(1) / body.there.sum(1)
                 body.voltage = 16.7 - 2.4 * used - 0.9 * load
                 used = used + load * dt / (0.4 * 320.0)
-                true = np.concatenate([body.p, body.v, body.q, body.w], 1)
                 assert logged is not None
                 rows.append((logged, u.copy(), controller.rate.copy(), body.voltage.copy(), true))
             body.advance(u)
     x, u, rate, voltage, true = (np.stack(part) for part in zip(*rows, strict=True))
     out = []
     for b, flight in enumerate(flights):
-        m = n[b]
-        asked_for = sticks(paths[b])
-        extra = {
-            **dict(zip(STICKS, asked_for.T, strict=True)),
-            **dict(zip(RATES, rate[:m, b].T, strict=True)),
-        }
-        extra["battery_voltage"] = voltage[:m, b]
-        motors = int(body.there[b].sum())
+        m, motors = n[b], int(body.there[b].sum())
+        columns = (*sticks(paths[b]).T, *rate[:m, b].T, voltage[:m, b])
+        extra = dict(zip((*STICKS, *RATES, "battery_voltage"), columns, strict=True))
         out.append(Logged(flight.t0 + dt * np.arange(m), x[:m, b], u[:m, b, :motors], extra, true[:m, b]))
     return out
 
@@ -286,7 +264,27 @@ def sticks(path: Wanted) -> Array:
     return np.stack([-np.arctan2(left, G), np.arctan2(ahead, G), path.yaw_rate, path.a[:, 2]], 1)
 
 
-def _stacked(paths: list[Wanted], part: str, n: int) -> Array:
+def _stacked(rows: Sequence[Array], n: int) -> Array:
     """A part of all paths (n, B, ...), the last row held."""
-    rows = [getattr(path, part) for path in paths]
     return np.stack([np.concatenate([r, np.repeat(r[-1:], n - len(r), axis=0)]) for r in rows], axis=1)
+
+
+def several(
+    machine: Machine,
+    rng: Any,
+    regime: str,
+    seed: int,
+    count: int,
+    seconds: Callable[[], float],
+    log: float = LOG,
+) -> list[Flight]:
+    """Flights of a machine with pauses between them: no two paths alike, noise, vigour and gains known drawn."""
+    paths = [PATHS[i] for i in rng.permutation(len(PATHS))]
+    noise, vigour = float(rng.uniform(0.7, 1.4)), float(rng.uniform(0.9, 1.4))
+    known = tuple(float(v) for v in rng.uniform(0.9, 1.1, 4))
+    out, t0 = [], 0.0
+    for k in range(count):
+        length = seconds()
+        out.append(Flight(machine, paths[k], regime, length, t0, seed + k, noise, vigour, known, log))
+        t0 = round(t0 + length + PAUSE_S, 2)
+    return out

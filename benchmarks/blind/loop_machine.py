@@ -15,8 +15,6 @@ low-pass filters:
     force: (1 + sqrt(3) T s) / (1 + T s)^2,        moment: 1 / (1 + T s)^2          of white noise
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -30,14 +28,9 @@ G = 9.81
 STEP = 0.001
 """Step of the integration [s]."""
 MOTORS = 6
-SIGNS: dict[str, Array] = {
-    # roll, pitch, yaw of each motor (PX4's numbers)
+SIGNS: dict[str, Array] = {  # roll, pitch, yaw of each motor (PX4's numbers)
     "hexacopter": np.array(
-        [
-            [-1, 1, 0.5, -0.5, -0.5, 0.5],
-            [0, 0, -np.sqrt(0.75), np.sqrt(0.75), -np.sqrt(0.75), np.sqrt(0.75)],
-            [1, -1, 1, -1, -1, 1],
-        ]
+        [[-1, 1, 0.5, -0.5, -0.5, 0.5], np.sqrt(0.75) * np.array([0, 0, -1, 1, -1, 1]), [1, -1, 1, -1, -1, 1]]
     ),
     "quadrotor": np.array([[-1, 1, 1, -1], [-1, 1, -1, 1], [-1, -1, 1, 1]], dtype=float),
 }
@@ -57,23 +50,19 @@ Effects = Mapping[str, Mapping[str, Any]]
 
 @dataclass(frozen=True)
 class Machine:
-    """One machine."""
-
     system: str  # `hexacopter` or `quadrotor`
     thrust_gain: float  # thrust over mass per unit of summed command [m/s2]
     thrust_offset: float  # the same at no command [m/s2]
     gains: tuple[float, float, float]  # roll, pitch, yaw acceleration per unit of signed command [rad/s2]
     inertia: tuple[float, float]  # Jx / Jz and Jy / Jz
     effects: Effects = field(default_factory=dict)  # what it holds beside, name -> parameter -> value
-    gust: tuple[float, ...] = (
-        0.0,
-    ) * 6  # standard deviations of the world force [m/s2] and the moment [rad/s2]
+    gust: tuple[float, ...] = (0.0,) * 6  # standard deviations of world force [m/s2] and moment [rad/s2]
     gust_time: tuple[float, float] = (0.5, 0.1)  # time constants of the two filters [s]
 
     @property
     def declared(self) -> dict[str, float]:
         """Its parameters by the names of the package."""
-        names = (
+        names = [
             "thrust_gain",
             "thrust_offset",
             "roll_gain",
@@ -81,13 +70,12 @@ class Machine:
             "yaw_gain",
             "inertia_x",
             "inertia_y",
-        )
+        ]
         values = (self.thrust_gain, self.thrust_offset, *self.gains, *self.inertia)
         return dict(zip(names, values, strict=True))
 
     @property
     def hover(self) -> float:
-        """Command at which it hovers."""
         return (G - self.thrust_offset) / (self.thrust_gain * SIGNS[self.system].shape[1])
 
 
@@ -105,17 +93,15 @@ def rotation(q: Array) -> Array:
 def product(a: Array, b: Array) -> Array:
     """Hamilton product of quaternions (B, 4)."""
     a0, av, b0, bv = a[:, :1], a[:, 1:], b[:, :1], b[:, 1:]
-    return np.concatenate(
-        [a0 * b0 - (av * bv).sum(1, keepdims=True), a0 * bv + b0 * av + cross(av, bv)], axis=1
-    )
+    vector = a0 * bv + b0 * av + cross(av, bv)
+    return np.concatenate([a0 * b0 - (av * bv).sum(1, keepdims=True), vector], axis=1)
 
 
 def cross(a: Array, b: Array) -> Array:
     """Cross product of rows (B, 3); np.cross takes ten times as long."""
     out = np.empty(np.broadcast_shapes(a.shape, b.shape))
-    out[:, 0] = a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1]
-    out[:, 1] = a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2]
-    out[:, 2] = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    for k, i, j in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        out[:, k] = a[:, i] * b[:, j] - a[:, j] * b[:, i]
     return out
 
 
@@ -209,7 +195,6 @@ class Bodies:
     def rates(
         self, p: Array, v: Array, q: Array, w: Array, m: Array, t: Array, push: Array
     ) -> tuple[Array, Array, Array, Array]:
-        """Derivatives of the state."""
         e = self.e
         strength = 1 - e["motor_efficiency_loss"]["loss"] - e["thrust_sag"]["rate"] * t[:, None]
         strength = strength + e["battery_voltage"]["sensitivity"] * (self.voltage - 16.0)[:, None]
@@ -232,10 +217,8 @@ class Bodies:
         turning = times(self.inverse, self.diagonal * own - cross(w, times(self.inertia, w)))
         turning = turning + push[:, 3:] - e["angular_damping"]["damping"] * w
         offset, flap = e["com_offset"]["offset"], e["flapping_moment"]["gain"]
-        spin = (
-            e["gyroscopic_moment"]["momentum"]
-            * (self.signs[:, 2] * np.sqrt(np.maximum(s, 0.0))).sum(1)[:, None]
-        )
+        spun = (self.signs[:, 2] * np.sqrt(np.maximum(s, 0.0))).sum(1)[:, None]
+        spin = e["gyroscopic_moment"]["momentum"] * spun
         turning[:, 0] += -offset[:, 1] * thrust + flap[:, 0] * still[:, 1] + spin[:, 0] * w[:, 1]
         turning[:, 1] += offset[:, 0] * thrust - flap[:, 1] * still[:, 0] - spin[:, 1] * w[:, 0]
         half = 0.5 * product(q, np.concatenate([np.zeros((len(w), 1)), w], 1))

@@ -7,15 +7,12 @@ stiffness, damping, rate and noises are drawn. `read` lists what the reader said
 that hold the true values, of the likelihood of the logs as they were read; `as logged` those of the logs as they are.
 """
 
-from __future__ import annotations
-
 from collections import Counter
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.stats import t as students
-from study import Array, options
+from study import Array, head, line, options
 
 from nsde_torch import read
 from nsde_torch.data.raw import RawRun
@@ -27,8 +24,7 @@ SPRING, FINE_S, RUN_S = make_system("mass_spring_damper"), 0.001, 30.0
 LABELS = "force_gain", "linear_spring.stiffness", "viscous_friction.damping"
 
 
-@dataclass(frozen=True)
-class Kind:
+class Kind(NamedTuple):
     """How a force was made and measured: sizes are shares of its standard deviation, unless they have a unit."""
 
     levels: int = 0  # that the command steps between; 0: a sum of waves
@@ -59,11 +55,8 @@ def logs(kind: Kind, seeds: int, rng: np.random.Generator) -> tuple[list[list[Ra
     true = np.stack([rng.uniform(*ends, seeds) for ends in ((0.5, 2.0), (1.0, 6.0), (0.1, 0.9))], 1)
     steps = rng.choice([5, 10, 20], seeds)  # fine steps of a row
     noise, sensor = rng.uniform(*kind.noise, seeds), rng.uniform(0.0003, 0.002, seeds)
-    runs = [
-        [_run(kind, true[s], int(steps[s]), noise[s], sensor[s], rng, name) for name in "ab"]
-        for s in range(seeds)
-    ]
-    return runs, true
+    of = zip(true, steps.tolist(), noise, sensor, strict=True)
+    return [[_run(kind, *one, rng, name) for name in "ab"] for one in of], true
 
 
 def _run(
@@ -72,9 +65,8 @@ def _run(
     gain, stiffness, damping = true.tolist()
     n = round(RUN_S / (FINE_S * every))
     t: Array = FINE_S * every * np.arange(n, dtype=np.float64)
-    waves = (
-        np.sin(np.outer(t, 2.0 * np.pi * rng.uniform(0.1, 1.5, 5)) + rng.uniform(0.0, 6.3, 5)).sum(1) / 2.0
-    )
+    turn, phase = 2.0 * np.pi * rng.uniform(0.1, 1.5, 5), rng.uniform(0.0, 6.3, 5)
+    waves = np.sin(np.outer(t, turn) + phase).sum(1) / 2.0
     hold = np.repeat(rng.integers(max(kind.levels, 1), size=n), round(0.3 / (FINE_S * every)))[:n]
     wanted = np.linspace(-0.7, 0.7, kind.levels)[hold] if kind.levels else waves
     x, logged, gap = np.zeros((n, 2)), np.zeros(n), kind.play * wanted.std()
@@ -100,27 +92,20 @@ def values(runs: list[RawRun], **how: Any) -> tuple[Array, Array, str]:
     best = fit(SPRING, data.runs)
     order = [best.vector.labels.index(name) for name in LABELS]
     half = np.full(len(best.theta), np.nan)
-    half[best.free] = best.standard_errors[best.free] * students.ppf(
-        0.95, best.spread.degrees(np.eye(len(best.free)))
-    )
+    factor = students.ppf(0.95, best.spread.degrees(np.eye(len(best.free))))
+    half[best.free] = best.standard_errors[best.free] * factor
     names = {"input_noise": "noise", "input_between_rows": "between rows", "state_smoothing": "smoothed"}
     said = [names[f.kind] for f in data.summary.findings if f.kind in names]
     return best.theta[order], half[order], " and ".join(said) or "as logged"
 
 
 def main() -> None:
-    parser = options(__doc__, seeds=20, seed=1)
-    parser.add_argument("--only", default="", help="kinds whose name begins so")
-    given = parser.parse_args()
-    print(
-        "| force | read | held | error of the gain | as logged: held | error of the gain |\n|---|---|---|---|---|---|"
-    )
+    given = options(__doc__, seeds=20, seed=1).parse_args()
+    head("force", "read", "held", "error of the gain", "as logged: held", "error of the gain")
     for number, (name, kind) in enumerate(KINDS.items()):
-        if not name.startswith(given.only):
-            continue
         cases, true = logs(kind, given.seeds, np.random.default_rng([given.seed, number]))
         said: Counter[str] = Counter()
-        line = []
+        cells = []
         for how in ({}, {"state_smoothing": "keep"}):
             inside, errors = [], []
             for runs, values_of in zip(cases, true, strict=True):
@@ -132,11 +117,10 @@ def main() -> None:
                 said.update([what] if not how else [])
                 inside.append(np.abs(found - values_of) <= half)
                 errors.append(abs(found[0] / values_of[0] - 1.0))
-            line.append(
-                f"{np.sum(inside)} of {np.size(inside)} | {np.mean(errors):.1%}, at most {np.max(errors):.1%}"
-            )
+            off = f"{np.mean(errors):.1%}, at most {np.max(errors):.1%}"
+            cells += [f"{np.sum(inside)} of {np.size(inside)}", off]
         read_as = ", ".join(f"{what} {count}" for what, count in said.most_common())
-        print(f"| {name} | {read_as} | {' | '.join(line)} |", flush=True)
+        print(line([name, read_as, *cells]), flush=True)
 
 
 if __name__ == "__main__":

@@ -1,12 +1,9 @@
 """Question: how well is the lag of a quadrotor's motors found, beside the method of sysid.tools?
 
-    pip install mujoco
-    python benchmarks/blind/motor_delay.py --seeds 6
+    python benchmarks/blind/motor_delay.py --seeds 6            # needs mujoco
 
-Quadrotors of MuJoCo on paths (`mujoco_machines.py`, kind quadrotor_lag: 25 to 60 ms, three flights of 45 s). The other
-method is that of "Data-Driven System Identification of Quadrotors Subject to Motor Delays" (Eschmann, Albani, Loianno,
-IROS 2024), which https://sysid.tools runs on PX4's logs, written here from its equations: a first-order filter of the
-commands of one time constant T for all motors,
+Quadrotors of MuJoCo on paths. The other method is that of Eschmann, Albani, Loianno, "Data-Driven System Identification
+of Quadrotors Subject to Motor Delays" (IROS 2024), which https://sysid.tools runs, written here from its equations:
 
     x' = (u - x) / T,        f = sum_i c_0 + c_1 x_i + c_2 x_i^2   along body z,
 
@@ -21,7 +18,7 @@ from pathlib import Path
 import mujoco_machines as machines
 import numpy as np
 from scipy.signal import lfilter
-from study import Array, Json, line, options, written
+from study import Array, Json, head, line, options, written
 
 import nsde_torch
 
@@ -51,7 +48,6 @@ def by_thrust(data: nsde_torch.data.DataSet) -> float:
 
 
 def judged(seed: int) -> Json:
-    """Both on one machine."""
     logs = []
 
     def write(folder: Path) -> float:
@@ -67,7 +63,7 @@ def judged(seed: int) -> Json:
 def main() -> None:
     given = options(__doc__, seeds=6).parse_args()
     rows = []
-    print("| true lag | sysid.tools' method | diagnosis | 90 % interval | named |\n|---|---|---|---|---|")
+    head("true lag", "sysid.tools' method", "diagnosis", "90 % interval", "named")
     for seed in range(given.seeds):
         r = judged(seed)
         ms = [f"{1e3 * v:.1f}" for v in (r["truth"], r["thrust"], r["own"]["value"])]

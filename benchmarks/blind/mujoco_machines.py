@@ -167,9 +167,7 @@ class _Cascade:
 
 def _lagged(acting: Any, wanted: Any, lag: float) -> tuple[Any, Any]:
     """What acts after one step, and its mean over the step."""
-    if not lag:
-        return wanted, wanted
-    left = np.exp(-STEP / lag)
+    left = np.exp(-STEP / lag) if lag else 0.0
     return wanted + (acting - wanted) * left, wanted + (acting - wanted) * (1.0 - left) * lag / STEP
 
 
@@ -226,10 +224,6 @@ def _two(rng: np.random.Generator) -> Drawn:
     return Machine(lag=lag, model={"rail": f'frictionloss="{friction}"'}), truth
 
 
-def _nothing(rng: np.random.Generator) -> Drawn:
-    return Machine(), {}
-
-
 def _weak(rng: np.random.Generator) -> Drawn:
     motor, left = int(rng.integers(4)), float(rng.uniform(0.8, 0.93))
     strength = [left if i == motor else 1.0 for i in range(4)]
@@ -245,7 +239,7 @@ def _drag(rng: np.random.Generator) -> Drawn:
 
 
 KINDS: dict[str, tuple[type[CartOnRail] | type[QuadrotorOnPath], Kind]] = {
-    "cart_nothing": (CartOnRail, _nothing),
+    "cart_nothing": (CartOnRail, lambda rng: (Machine(), {})),
     "cart_friction": (CartOnRail, _rail("frictionloss", 0.1, 0.5, "coulomb_friction[cart].size")),
     "cart_damping": (CartOnRail, _rail("damping", 0.1, 0.6, "viscous_friction[cart].damping")),
     "cart_spring": (CartOnRail, _rail("stiffness", 0.8, 4.0, "linear_spring[cart].stiffness")),
@@ -255,7 +249,7 @@ KINDS: dict[str, tuple[type[CartOnRail] | type[QuadrotorOnPath], Kind]] = {
     "cart_two": (CartOnRail, _two),
     "pole_friction": (CartOnRail, _pivot("frictionloss", 0.003, 0.012, "coulomb_friction[pole].size")),
     "pole_damping": (CartOnRail, _pivot("damping", 0.002, 0.012, "viscous_friction[pole].damping")),
-    "quadrotor_nothing": (QuadrotorOnPath, _nothing),
+    "quadrotor_nothing": (QuadrotorOnPath, lambda rng: (Machine(), {})),
     "quadrotor_lag": (QuadrotorOnPath, _slow("motor_lag.time_constant", 0.025, 0.06)),
     "quadrotor_delay": (QuadrotorOnPath, _late(15, 35)),
     "quadrotor_weak": (QuadrotorOnPath, _weak),

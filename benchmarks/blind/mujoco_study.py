@@ -16,7 +16,6 @@ from study import Json, answers, holds, in_turn, options, written
 
 
 def diagnosed(kind: str, seed: int) -> Json:
-    """Simulate a case and diagnose it."""
     plant, _ = machines.KINDS[kind]
     system = "cartpole" if plant is machines.CartOnRail else "quadrotor"
     truth, _, answer = written(lambda folder: machines.write(kind, seed, folder), system)
@@ -52,13 +51,12 @@ def main() -> None:
     done = answers(a.out, in_turn(a, kinds, diagnosed, truth={"nothing": math.nan}, added=[]), judge)
     single, nulls = [x for x in done if x["truth"]], [x for x in done if not x["truth"]]
     values = [v for x in done for v in x["values"]]
-    of_effects = [v for x in done for v in x["values"] if v["parameter"] in x["truth"]]
+    of_effects = [v["holds"] for x in done for v in x["values"] if v["parameter"] in x["truth"]]
+    alone = sum(x["named"] and not x["others"] for x in single)
     print(
-        f"\n{sum(x['named'] for x in single)} of {len(single)} named, "
-        f"{sum(x['named'] and not x['others'] for x in single)} with nothing beside; "
+        f"\n{sum(x['named'] for x in single)} of {len(single)} named, {alone} with nothing beside; "
         f"{sum(not x['added'] for x in nulls)} of {len(nulls)} nulls silent; 90 % intervals that hold: "
-        f"{sum(v['holds'] for v in of_effects)} of {len(of_effects)} of effects, "
-        f"{sum(v['holds'] for v in values)} of {len(values)} in all"
+        f"{sum(of_effects)} of {len(of_effects)} of effects, {sum(v['holds'] for v in values)} of {len(values)} in all"
     )
 
 

@@ -1,18 +1,14 @@
 """Question: what does `mujoco.sysid` make of springs with dry friction that the model does not have?
 
-    pip install 'mujoco[sysid]==4.0.0'
-    python benchmarks/blind/mujoco_sysid.py --count 10
+    python benchmarks/blind/mujoco_sysid.py --count 10          # needs mujoco[sysid]==4.0.0
 
-A mass on a spring with a dry friction of 0.1 to 0.5 m/s2, four runs of 10 s, the last left out. `mujoco.sysid` fits
-stiffness, damping and the gear of the motor of an MJCF model with a slide joint to the others, once without and
-once with `frictionloss` among the parameters. The diagnosis gets the declared physics alone. The figure is the rms
-error of open-loop predictions one second ahead, as a ratio to that of the declared physics fitted by least squares
-(geometric mean over position and velocity).
+A mass on a spring, four runs of 10 s, the last left out. `mujoco.sysid` fits stiffness, damping and gear of an MJCF
+model, once without and once with `frictionloss`; the diagnosis gets the declared physics alone. The figure is the rms
+error of open-loop predictions one second ahead, over that of the declared physics fitted by least squares.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 from time import perf_counter
 from typing import Any
@@ -22,6 +18,7 @@ import mujoco.rollout
 import mujoco.sysid
 import numpy as np
 import torch
+from study import options
 
 import nsde_torch
 from nsde_torch.data import Run, Windows
@@ -80,13 +77,12 @@ def fitted(runs: list[Run], *, friction: bool) -> Any:
     model = spec().compile()
     states, controls, sensors = [], [], []
     for run in runs:
-        states.append(mujoco.sysid.create_initial_state(model, run.x[0, :1], run.x[0, 1:2]))
         t = run.t - run.t[0]
+        states.append(mujoco.sysid.create_initial_state(model, run.x[0, :1], run.x[0, 1:2]))
         controls.append(mujoco.sysid.TimeSeries(t, run.u[:, :1]))
         sensors.append(mujoco.sysid.TimeSeries.from_names(t, run.x, model, names=["pos", "vel"]))
-    sequences = mujoco.sysid.ModelSequences(
-        "spring", spec(), [r.name for r in runs], states, controls, sensors
-    )
+    names = [r.name for r in runs]
+    sequences = mujoco.sysid.ModelSequences("spring", spec(), names, states, controls, sensors)
     residual = mujoco.sysid.build_residual_fn(models_sequences=[sequences])
     found, _ = mujoco.sysid.optimize(parameters(friction=friction), residual, verbose=False)
     return found
@@ -104,7 +100,6 @@ def predicted(found: Any, x: np.ndarray, u: np.ndarray) -> np.ndarray:
 
 
 def judged(seed: int) -> dict[str, Any]:
-    """One spring."""
     size = float(np.random.default_rng(seed).uniform(0.1, 0.5))
     effects = [{"coulomb_friction": {"size": size}}]
     made = nsde_torch.simulate("mass_spring_damper", effects=effects, durations=[10.0] * 4, seed=seed)
@@ -117,12 +112,8 @@ def judged(seed: int) -> dict[str, Any]:
     x, u, _ = windows.batch(starts)
 
     def ours(machine: Any) -> np.ndarray:
-        return (
-            rollout_squares(as_model(own, machine, 1.0), windows, starts, [STEPS])[:, 0]
-            .mean(0)
-            .sqrt()
-            .numpy()
-        )
+        squares = rollout_squares(as_model(own, machine, 1.0), windows, starts, [STEPS])
+        return squares[:, 0].mean(0).sqrt().numpy()
 
     began = perf_counter()
     found = diagnose(system, own, data, training, Options())
@@ -140,22 +131,12 @@ def judged(seed: int) -> dict[str, Any]:
         errors[name] = np.sqrt(np.square(end - x[:, STEPS].numpy()).mean(0))
         values[name] = {k: float(p.value[0]) for k, p in one.items()}
     ratio = {k: float(np.exp(np.log(v / errors["declared"]).mean())) for k, v in errors.items()}
-    return {
-        "seed": seed,
-        "size": size,
-        "added": found.added,
-        "ratio": ratio,
-        "values": values,
-        "seconds": seconds,
-    }
+    about = {"seed": seed, "size": size, "added": found.added}
+    return {**about, "ratio": ratio, "values": values, "seconds": seconds}
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--count", type=int, default=10)
-    parser.add_argument("--seed", type=int, default=1, help="of the first spring")
-    given = parser.parse_args()
-    torch.set_num_threads(1)
+    given = options(__doc__, seed=1, count=10).parse_args()
     rows = [judged(given.seed + k) for k in range(given.count)]
     for row in rows:
         print(json.dumps(row), flush=True)

@@ -8,8 +8,6 @@ it is, or one that is the same law in these data. What else is found for sure co
 `unexplained` do not.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -35,12 +33,8 @@ class State:
 
 @dataclass(frozen=True)
 class Kind:
-    """One machine."""
-
     acts: Callable[[float, State], float] = lambda u, s: u  # input that acts, from the command and the state
-    pulls: Callable[[float, State], float] = lambda u, s: (
-        0.0
-    )  # further acceleration, from what acts and the state
+    pulls: Callable[[float, State], float] = lambda u, s: 0.0  # what accelerates it further
     dry: Callable[[State], float] = lambda s: 0.0  # size of the dry friction
     may: tuple[str, ...] = ()  # effects that may stand as found for sure
     logs: Callable[[Array], Array] = lambda x: x  # what is logged of a position or a speed
@@ -70,14 +64,14 @@ def _hidden(stiffness: float, damping: float) -> Callable[[float, State], float]
 
 def kinds(rng: np.random.Generator) -> dict[str, Kind]:
     """Kinds of machines, their sizes drawn anew."""
-    size = float(rng.uniform(0.25, 0.6))
-    stop, slope = float(rng.uniform(0.25, 0.35)), float(rng.uniform(30.0, 80.0))
-    weaker = float(rng.uniform(0.6, 0.8))
-    rate, turn = float(rng.uniform(4.0, 7.0)), float(rng.uniform(12.0, 25.0))
-    fast, part = float(rng.uniform(0.05, 0.1)), float(rng.uniform(0.3, 0.6))
+
+    def between(*ends: tuple[float, float]) -> list[float]:
+        return [float(rng.uniform(*of)) for of in ends]
+
+    size, stop, slope, weaker = between((0.25, 0.6), (0.25, 0.35), (30.0, 80.0), (0.6, 0.8))
+    rate, turn, fast, part = between((4.0, 7.0), (12.0, 25.0), (0.05, 0.1), (0.3, 0.6))
+    back, ahead, floor, ceiling = between((0.1, 0.3), (0.3, 0.6), (1.0, 1.4), (1.5, 2.0))
     dry = ("coulomb_friction", "stribeck_friction")
-    back, ahead = float(rng.uniform(0.1, 0.3)), float(rng.uniform(0.3, 0.6))
-    floor, ceiling = float(rng.uniform(1.0, 1.4)), float(rng.uniform(1.5, 2.0))
     return {
         "nothing": Kind(),
         "sticks": Kind(dry=lambda s: 3.0 * size, may=dry),
@@ -137,7 +131,6 @@ def run(kind: Kind, rng: np.random.Generator, seconds: float = 30.0) -> Array:
 
 
 def write(name: str, seed: int, folder: Path, runs: int = 3) -> Kind:
-    """Write the runs of a kind as CSV files."""
     rng = np.random.default_rng([seed, list(kinds(np.random.default_rng(0))).index(name)])
     kind = kinds(rng)[name]
     for k in range(runs):
@@ -148,7 +141,6 @@ def write(name: str, seed: int, folder: Path, runs: int = 3) -> Kind:
 
 
 def diagnosed(name: str, seed: int) -> Json:
-    """Simulate a case and diagnose it."""
     kind, found, answer = written(lambda folder: write(name, seed, folder), "mass_spring_damper")
     recording = [f.sentence for f in found.recorded.faults]
     return {"kind": name, "seed": seed, "may": kind.may, **answer, "recording": recording}
@@ -159,11 +151,10 @@ def judge(answer: Json) -> str:
     named = answer["added"] if answer.get("verdict") != "unexplained" else []
     sure = [n for n in named if n not in answer["leads"] and n not in tied(answer)]
     answer["surely wrong"] = [n for n in sure if n not in answer["may"]]
-    wrong = f"; SURELY WRONG {', '.join(answer['surely wrong'])}" if answer["surely wrong"] else ""
-    leads = f"; leads {', '.join(answer['leads'])}" if answer["leads"] else ""
-    told = f"; {' '.join(answer['recording'])}" if answer.get("recording") else ""
+    parts = {"SURELY WRONG": answer["surely wrong"], "leads": answer["leads"], "": answer.get("recording")}
+    told = "".join(f"; {of} {', '.join(some)}" for of, some in parts.items() if some)
     what = answer.get("error") or f"{answer['verdict']}: {', '.join(answer['added']) or 'nothing'}"
-    return f"{answer['kind']:16} {what}{leads}{wrong}{told} ({answer.get('seconds', math.nan):.0f} s)"
+    return f"{answer['kind']:16} {what}{told} ({answer.get('seconds', math.nan):.0f} s)"
 
 
 def main() -> None:

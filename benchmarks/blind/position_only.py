@@ -4,15 +4,9 @@
     python benchmarks/blind/position_only.py --seed 6007 --count 48 --out runs/position_values --values
 
 Machines in turn: spring, cart, two joints (`small_machines`, `two_joints`), with other values, seeds, noise and
-encoders in each case; one effect, or none; the rate is missing or made by a user in one of four ways. It counts whether
-the effect that is there is named first, what is named of nothing, and whether 90 % intervals of its size hold.
-
-`--values` asks for values where the laws are given: each case is identified with the true effects declared, from first
-values that are 30 % off. It counts how many 90 % intervals hold the truth, and how far estimates are off in
-half-widths.
+encoders in each case; one effect, or none; the rate is missing or made by a user in one of four ways. `--values`
+identifies each case with the true effects declared, from first values that are 30 % off.
 """
-
-from __future__ import annotations
 
 import tempfile
 from collections import defaultdict
@@ -22,7 +16,7 @@ from typing import Any
 
 import numpy as np
 from small_machines import RATES, Law, cart, measured, rates, spring
-from study import Array, Case, Json, answers, diagnosed, held, inside, numbered, options, save
+from study import Array, Json, answers, diagnosed, held, inside, numbered, options, save
 from two_joints import SYSTEM as JOINTS
 from two_joints import drawn, laws, make_data
 
@@ -33,10 +27,13 @@ MACHINES = {
     JOINTS: ("q1", "q2", "q1_dot", "q2_dot", "tau1", "tau2"),
 }
 RATE_COLUMNS = {SPRING: {0: 1}, CART: {0: 1, 2: 3}, JOINTS: {0: 2, 1: 3}}
-NAMED = (
-    *("coulomb_friction", "viscous_friction", "quadratic_damping", "cubic_stiffness"),
+NAMED = [
+    "coulomb_friction",
+    "viscous_friction",
+    "quadratic_damping",
+    "cubic_stiffness",
     "asymmetric_friction",
-)
+]
 OFF = 1.3  # first values over the true ones
 Truth = dict[str, dict[str, float]]
 
@@ -63,14 +60,6 @@ def _of_one_body(i: int, rng: np.random.Generator) -> tuple[str, Truth, list[Arr
     return CART if on_cart else SPRING, truth, runs, how["dt"]
 
 
-def _of_joints(seed: int, i: int) -> tuple[str, Truth, list[Array], float]:
-    """The same of two joints; one effect, or none."""
-    kind, truth, push = drawn(seed, 4 * i + (3 if i % 4 == 3 else 0))
-    assert kind == ("null" if i % 4 == 3 else "single")
-    runs = [make_data.kept(1200, np.random.default_rng([seed, i, k]), push, 0.0) for k in range(4)]
-    return JOINTS, truth, runs, make_data.DT
-
-
 def recorded(seed: int, i: int, *, full: bool, how: str | None = None) -> tuple[str, Truth, Any, Json]:
     """System, true effects, data set and facts of a case, with a sensor of the rate (`full`) or without.
 
@@ -79,7 +68,12 @@ def recorded(seed: int, i: int, *, full: bool, how: str | None = None) -> tuple[
     import nsde_torch
 
     rng = np.random.default_rng([seed, i])
-    system, truth, runs, dt = _of_joints(seed, i) if i % 3 == 2 else _of_one_body(i, rng)
+    if i % 3 == 2:  # two joints; one effect, or none
+        _, truth, push = drawn(seed, 4 * i + (3 if i % 4 == 3 else 0))
+        runs = [make_data.kept(1200, np.random.default_rng([seed, i, k]), push, 0.0) for k in range(4)]
+        system, dt = JOINTS, make_data.DT
+    else:
+        system, truth, runs, dt = _of_one_body(i, rng)
     noise, counts = float(rng.choice([3e-4, 1e-3])), bool(rng.integers(2))
     how = how or RATES[i % len(RATES)]
     columns, names = RATE_COLUMNS[system], MACHINES[system]
@@ -105,14 +99,8 @@ def case(seed: int, i: int, *, full: bool) -> Json:
     effects = [f for f in found.content()["findings"] if f["kind"] == "effect"]
     added, sure = [f["name"] for f in effects], [f["name"] for f in effects if not f["lead"]]
     return {
-        **answer,
-        "case": i,
-        "system": system,
-        "full": full,
-        **told,
-        "truth": truth,
+        **{**answer, "case": i, "system": system, "full": full, **told, "truth": truth, "added": added},
         "inferred": sorted({n for run in data.runs for n in run.inferred}),
-        "added": added,
         "named": added[:1] == list(truth)[:1] if truth else not sure,
         "wrong_and_sure": [n for n in sure if n not in truth],
         "inside": held(truth, answer["parameters"]),
@@ -151,10 +139,9 @@ def report_values(done: list[Json]) -> None:
     for system, off in by_system.items():
         away = np.array(off)
         if len(away):
-            print(
-                f"{system}: {int((np.abs(away) <= 1).sum())} of {len(away)} intervals hold; half-widths off: "
-                f"mean {away.mean():+.2f}, rms {np.sqrt(np.mean(away**2)):.2f}"
-            )
+            held, rms = int((np.abs(away) <= 1).sum()), np.sqrt(np.mean(away**2))
+            off = f"half-widths off: mean {away.mean():+.2f}, rms {rms:.2f}"
+            print(f"{system}: {held} of {len(away)} intervals hold; {off}")
 
 
 def main() -> None:
@@ -163,26 +150,20 @@ def main() -> None:
     a = parser.parse_args()
     if a.values:
         keys = ("case", "system", "off", "error")
-        report_values(
-            answers(
-                a.out, numbered(a, identified, off={}), lambda x: " ".join(str(x.get(k, "")) for k in keys)
-            )
-        )
+        cases = numbered(a, identified, off={})
+        report_values(answers(a.out, cases, lambda x: " ".join(str(x.get(k, "")) for k in keys)))
         return
-    cases: list[Case] = []
+    cases = []
     for full in (False, True):
         ending, wrong = "full" if full else "position", {"full": full, "named": False, "inside": [0, 0]}
-        cases += [
-            (f"{name}_{ending}", *rest) for name, *rest in numbered(a, partial(case, full=full), **wrong)
-        ]
+        some = numbered(a, partial(case, full=full), **wrong)
+        cases += [(f"{name}_{ending}", *rest) for name, *rest in some]
     done = answers(a.out, cases, line)
     for full in (False, True):
         some = [x for x in done if x["full"] == full]
         wrong_ones = sum(bool(x.get("wrong_and_sure")) for x in some)
-        print(
-            f"{'full' if full else 'position'} named {sum(x['named'] for x in some)} of {len(some)}, intervals hold "
-            f"{inside(some)}, wrong and sure {wrong_ones}"
-        )
+        said = f"named {sum(x['named'] for x in some)} of {len(some)}, intervals hold {inside(some)}"
+        print(f"{'full' if full else 'position'} {said}, wrong and sure {wrong_ones}")
 
 
 if __name__ == "__main__":

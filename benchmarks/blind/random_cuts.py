@@ -1,30 +1,22 @@
 """Random pieces of logs through a whole diagnosis: does every one end in an answer or in one sentence?
 
     python benchmarks/blind/random_cuts.py --seed 1 --count 200 --out runs/cuts
-    python benchmarks/blind/random_cuts.py --out runs/cuts --judge          # the table again
 
-A log of a machine (with an effect that is not declared, or without) is cut: 1 to 5,000 rows in one to four runs, every
-k-th row, columns that are missing, held at one value, zero, copied, rounded or exact. `nsde diagnose` runs in a process
-of its own. An answer is exit status 0; a refusal is exit status 2 with one sentence. Anything else is a fault, and so
-is a diagnosis that takes more than a minute of a processor or 1 GiB and was not told to, or a warning of NumPy on
-the screen.
+A log of a machine is cut: 1 to 5,000 rows in one to four runs, every k-th row, columns that are missing, held, zero,
+copied, rounded or exact. `nsde diagnose` runs in a process of its own. An answer is exit status 0; a refusal is exit
+status 2 with one sentence. Anything else is a fault, and so is a diagnosis that takes more than a minute of a processor
+or 1 GiB, or a warning of NumPy on the screen.
 """
-
-from __future__ import annotations
 
 import contextlib
 import csv
 import io
 import os
 import signal
-import subprocess
-import sys
 import time
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import torch
 from study import Json, options, read_json, save, write_json
 
 from nsde_torch.cli.main import main as nsde
@@ -53,18 +45,12 @@ def source(folder: Path, system: str, dt: float, effect: str, seed: int) -> Path
         words = [f"system={system}", f"out={out}", f"dt={dt:g}", f"durations=[{seconds:g},{seconds:g}]"]
         if effect:
             words.append(f"plant.effects=[{effect}]")
-        done = subprocess.run(
-            [sys.executable, "-m", "nsde_torch.cli", "simulate", *words, f"seed={seed}"],
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        if done.returncode:
-            raise SystemExit(f"{system}: {done.stdout}{done.stderr}")
+        if nsde(["simulate", *words, f"seed={seed}"]):
+            raise SystemExit(f"{system} was not simulated")
     return out
 
 
-def cut(log: Path, out: Path, rng: np.random.Generator, most: int) -> str:
+def cut(log: Path, out: Path, rng: np.random.Generator, most: int = 5000) -> str:
     """Writes one cut; returns what was done to it, in words."""
     files = sorted(log.glob("*.csv"))
     with files[0].open() as stream:
@@ -82,9 +68,8 @@ def cut(log: Path, out: Path, rng: np.random.Generator, most: int) -> str:
     words.append("rows " + "+".join(str(len(p)) for p in pieces))
     keep = list(range(len(head)))
     for k in range(1, len(head)):
-        kind = rng.choice(
-            ["as it is", "missing", "held", "zero", "copied", "rounded", "nan"], p=[0.88, *[0.02] * 6]
-        )
+        kinds = ["as it is", "missing", "held", "zero", "copied", "rounded", "nan"]
+        kind = rng.choice(kinds, p=[0.88, *[0.02] * 6])
         if kind == "as it is":
             continue
         words.append(f"{head[k]} {kind}")
@@ -129,15 +114,10 @@ def diagnosed(words: list[str], screen: Path) -> Json:
         if seconds > _LONGEST:
             os.kill(child, signal.SIGKILL)
         time.sleep(0.1)
-    text = screen.read_text(encoding="utf-8", errors="replace") + (
-        "\nstopped: no end" if seconds > _LONGEST else ""
-    )
-    return {
-        "code": os.waitstatus_to_exitcode(status),
-        "text": text,
-        "seconds": used.ru_utime + used.ru_stime,
-        "mib": used.ru_maxrss / 1024.0,
-    }
+    text = screen.read_text(encoding="utf-8", errors="replace")
+    text += "\nstopped: no end" if seconds > _LONGEST else ""
+    about = {"code": os.waitstatus_to_exitcode(status), "text": text, "mib": used.ru_maxrss / 1024.0}
+    return {**about, "seconds": used.ru_utime + used.ru_stime}
 
 
 def fault(answer: Json) -> str:
@@ -156,13 +136,12 @@ def fault(answer: Json) -> str:
     return ""
 
 
-def one(folder: Path, number: int, seed: int, systems: Sequence[str], most: int) -> Json:
-    """Makes and diagnoses one cut."""
+def one(folder: Path, number: int, seed: int) -> Json:
     rng = np.random.default_rng([seed, number])
-    system = str(rng.choice(systems))
+    system = str(rng.choice(list(STEPS)))
     dt, effect = float(rng.choice(STEPS[system])), str(rng.choice(EFFECTS[system]))
     place = folder / f"case_{number:03d}"
-    done = cut(source(folder / "sources", system, dt, effect, seed), place / "data", rng, most)
+    done = cut(source(folder / "sources", system, dt, effect, seed), place / "data", rng)
     words = [f"system={system}", "data=csv", f"data.path={place / 'data'}", "retrain=false"]
     answer = diagnosed([*words, f"out_dir={place / 'out'}"], place / "screen.txt")
     answer |= {"case": number, "system": system, "dt": dt, "effect": effect, "cut": done}
@@ -172,13 +151,11 @@ def one(folder: Path, number: int, seed: int, systems: Sequence[str], most: int)
 
 
 def judge(folder: Path) -> None:
-    """Prints what became of all cuts."""
     answers = [read_json(f) for f in sorted(folder.glob("case_*/answer.json"))]
     for a in answers:
         if a["fault"]:
-            print(
-                f"{a['case']:>4} {a['fault']}: {a['system']} {a['dt']:g} s, {a['effect'] or 'nothing'}; {a['cut']}"
-            )
+            of = f"{a['system']} {a['dt']:g} s, {a['effect'] or 'nothing'}"
+            print(f"{a['case']:>4} {a['fault']}: {of}; {a['cut']}")
     codes = [a["code"] for a in answers]
     print(
         f"{len(answers)} cuts: {codes.count(0)} answers, {codes.count(2)} refusals, "
@@ -187,22 +164,15 @@ def judge(folder: Path) -> None:
 
 
 def main() -> None:
-    parser = options(__doc__, "out", seed=1, first=0, count=200)
-    parser.add_argument("--systems", nargs="+", choices=list(STEPS), default=list(STEPS))
-    parser.add_argument("--rows", type=int, default=5000, help="most rows of a run")
-    parser.add_argument("--judge", action="store_true")
-    given = parser.parse_args()
-    torch.set_num_threads(1)
+    given = options(__doc__, "out", seed=1, first=0, count=200, judge=False).parse_args()
     warm = ["diagnose", "system=mass_spring_damper", "data=csv", "data.path=/nowhere"]
     with contextlib.suppress(SystemExit), contextlib.redirect_stderr(io.StringIO()):
         nsde(warm)  # loads what every diagnosis loads
     if not given.judge:
         for number in range(given.first, given.first + given.count):
-            a = one(given.out, number, given.seed, given.systems, given.rows)
-            print(
-                f"{number:>4} {a['code']} {a['seconds']:5.1f} s {a['fault']} {a['system']} {a['cut']}",
-                flush=True,
-            )
+            a = one(given.out, number, given.seed)
+            said = f"{number:>4} {a['code']} {a['seconds']:5.1f} s {a['fault']} {a['system']} {a['cut']}"
+            print(said, flush=True)
     judge(given.out)
 
 

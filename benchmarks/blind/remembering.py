@@ -11,8 +11,6 @@ Kokotovic's operator on rows of the input.
     python benchmarks/blind/remembering.py --seed 1 --count 12
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -22,14 +20,8 @@ from study import Array, diagnosed, options
 from nsde_torch.data.raw import RawRun
 
 RIGHT = {
-    "bouc_wen": "hysteresis",
-    "play": "input_play",
-    "delay": "input_delay",
-    "lag": "actuator_lag",
-    "coulomb": "coulomb_friction",
-    "dahl": "hysteresis",
-    "null": "",
-    "maxwell": "viscoelasticity",
+    **{"bouc_wen": "hysteresis", "play": "input_play", "delay": "input_delay", "lag": "actuator_lag"},
+    **{"coulomb": "coulomb_friction", "dahl": "hysteresis", "null": "", "maxwell": "viscoelasticity"},
     "fluid": "relaxation",
 }
 DT, FINE, NOISE, GUST = 0.01, 5, 1e-3, 0.02

@@ -8,31 +8,19 @@ study goes on where it stopped. Then the truth is opened: an oracle that is told
 predicts the same runs left out, and `blind/table.md` says how often the answers are right.
 """
 
-from __future__ import annotations
-
 import traceback
 from collections.abc import Sequence
 from functools import partial
 from math import prod
 from pathlib import Path
 
-from study import (
-    Json,
-    answered,
-    diagnosed,
-    held,
-    line,
-    markdown,
-    missing,
-    options,
-    pooled,
-    truth_of,
-    write_json,
-)
+import study
+from study import Json, answered, held, line, markdown, truth_of
 
 MOVES = 1.1
 """Ratio of errors without and with the true effect from which a case counts as visible."""
 NEAR = 1.05
+KINDS = ("single", "pair", "recording", "outside", "null")
 
 
 def diagnose_case(folder: Path, name: str) -> Json:
@@ -48,7 +36,7 @@ def diagnose_case(folder: Path, name: str) -> Json:
     truth = truth_of(folder, name)
     system = make_system(truth["system"])
     data = nsde_torch.read(folder / "data" / name, system=system)
-    found, answer = diagnosed(data, truth["system"])
+    found, answer = study.diagnosed(data, truth["system"])
     content = found.content()
     answer |= {key: content[key] for key in ("findings", "errors")}
     answer["structure"] = content["structure"]["after"][:3]
@@ -58,15 +46,10 @@ def diagnose_case(folder: Path, name: str) -> Json:
     joint = found.outcome.joint
     if effects and joint is not None:
         told = found.system.with_effects(*(system.make_effect(key, v) for key, v in effects.items()))
-        oracle = held_out(
-            (found.outcome.declared_system, told),
-            SysidSpec(system.name, dt=data.dt, horizon=system.defaults.horizon),
-            with_channels(system, found.recorded.runs),
-            fitted=by_likelihood([joint.declared, joint.final]),
-            steps=joint.final.at.of.space.steps,
-            clock=found.recorded.clock,
-            seed=0,
-        )
+        spec = SysidSpec(system.name, dt=data.dt, horizon=system.defaults.horizon)
+        how = {"fitted": by_likelihood([joint.declared, joint.final]), "steps": joint.final.at.of.space.steps}
+        machines, runs = (found.outcome.declared_system, told), with_channels(system, found.recorded.runs)
+        oracle = held_out(machines, spec, runs, clock=found.recorded.clock, seed=0, **how)
         answer["oracle"] = oracle.content["after"]
     return answer
 
@@ -76,7 +59,7 @@ def _job(folder: Path, name: str) -> str:
         answer = diagnose_case(folder, name)
     except Exception as error:  # a crash is an answer too, and the worst
         answer = {"verdict": "crash", "added": [], "error": str(error), "traceback": traceback.format_exc()}
-    write_json(folder / "answers" / f"{name}.json", answer)
+    study.write_json(folder / "answers" / f"{name}.json", answer)
     return str(answer["verdict"])
 
 
@@ -91,7 +74,6 @@ def worth(first: Json, other: Json) -> float:
 
 
 def judge(truth: Json, answer: Json) -> Json:
-    """What became of a case."""
     case, recording = truth["case"], truth.get("recording", {})
     names = [key.rpartition(":")[2] if ":" in key else key for key in truth["effects"]]
     names += [k.removesuffix("_s").removesuffix("_deg") for k in recording]
@@ -111,7 +93,7 @@ def judge(truth: Json, answer: Json) -> Json:
         "verdict": answer["verdict"],
         "first": bool(added) and added[0] in names,
         "exact": sorted(added) == sorted(names),
-        "in_tie": all(n in added or n in parts for n in names),
+        "in_tie": {*names} <= {*added, *parts},
         "lead": any(f["lead"] for f in answer.get("findings", [])) or bool(answer.get("ties")),
         "inside": inside,
         "intervals": intervals,
@@ -133,26 +115,13 @@ def _good(j: Json) -> bool:
     return j["verdict"] == "unexplained" or helps or laws
 
 
-def _wrong(j: Json) -> bool:
-    return {
-        "single": not j["exact"],
-        "recording": not j["exact"],
-        "pair": set(j["true"]) != set(j["added"]),
-        "null": j["verdict"] != "no_effect",
-        "outside": True,
-    }[j["kind"]]
-
-
 def table(judged: dict[str, Json]) -> str:
     """Shares of right answers by system, and every case that went wrong."""
     rows: list[Sequence[object]] = []
     for system in ["all", *sorted({j["system"] for j in judged.values()})]:
         mine = [j for j in judged.values() if system in ("all", j["system"])]
-        kinds = {kind: [j for j in mine if j["kind"] == kind] for kind in ("null", "outside", "recording")}
-        visible, pairs = (
-            [j for j in mine if j["kind"] == kind and j.get("moves", 1.0) > MOVES]
-            for kind in ("single", "pair")
-        )
+        kinds = {kind: [j for j in mine if j["kind"] == kind] for kind in KINDS}
+        visible, pairs = ([j for j in kinds[k] if j.get("moves", 1.0) > MOVES] for k in ("single", "pair"))
         out = kinds["outside"]
         seen = [j for j in out if j.get("gain", 1.0) > MOVES or j["verdict"] != "no_effect"]
         first = [j for j in visible if j["first"]]
@@ -180,7 +149,8 @@ def table(judged: dict[str, Json]) -> str:
     head = ("case", "kind", "system", "noise", "true", "answer", "verdict", "moves", "gain")
     lines += markdown(head, [])
     for name, j in sorted(judged.items()):
-        if _wrong(j):
+        silent = j["kind"] == "null" and j["verdict"] == "no_effect"
+        if not silent and (j["kind"] in ("outside", "null") or not j["exact"]):
             numbers = [f"x{j[k]:.2f}" if k in j else "" for k in ("moves", "gain")]
             said = ", ".join(j["true"]), ", ".join(j["added"]), j["verdict"]
             lines.append(line([name, j["kind"], j["system"], j["noise"], *said, *numbers]))
@@ -188,13 +158,13 @@ def table(judged: dict[str, Json]) -> str:
 
 
 def main() -> None:
-    parser = options(__doc__, "cases", jobs=1)
+    parser = study.options(__doc__, "cases", jobs=1)
     parser.add_argument("--limit", type=int, default=10**6, help="answer this many at most")
     given = parser.parse_args()
-    todo = missing(given.cases, "answers")[: given.limit]
-    pooled(given.jobs, {name: partial(_job, given.cases, name) for name in todo})
+    todo = study.missing(given.cases, "answers")[: given.limit]
+    study.pooled(given.jobs, {name: partial(_job, given.cases, name) for name in todo})
     judged = {name: judge(truth, answer) for name, truth, answer in answered(given.cases)}
-    write_json(given.cases / "judged.json", judged)
+    study.write_json(given.cases / "judged.json", judged)
     text = table(judged)
     (given.cases / "table.md").write_text(text, encoding="utf-8")
     print(text)

@@ -1,20 +1,14 @@
 """Springs and carts of which something differs between runs: is it named, alone, and do the intervals hold?
 
     python benchmarks/blind/run_differences.py --seed 1 --count 32 --out runs/differences
-    python benchmarks/blind/run_differences.py --seed 1 --count 32 --out runs/within --within
-    python benchmarks/blind/run_differences.py --seed 1 --count 24 --out runs/unseen --unseen
 
 Machines are those of `small_machines`. What differs, by how much and in which of three to six runs is drawn; in a third
-of the cases one run alone differs. Nulls have runs of one machine. `--within` lets it change in the middle of runs of
-30 s: in one of two runs, in both at moments of their own, or in a single run.
-
-`--unseen` asks instead whether 90 % intervals of a trained model hold in runs that it has not seen: what differs is
-drawn for each of fifteen runs from one normal law, five train by default, and coverage, by horizon, and minus the log
-density of a measurement are of the ten others.
+of the cases one run alone differs. `--within` lets it change in the middle of runs of 30 s: in one of two runs, in both
+at moments of their own, or in a single run. `--unseen` trains on five of fifteen runs, of which what differs is drawn
+from one normal law, and scores the intervals on the other ten.
 """
 
-from __future__ import annotations
-
+import re
 import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -36,8 +30,6 @@ TRAINED, UNSEEN = 5, 10
 
 @dataclass(frozen=True)
 class Kind:
-    """What differs between runs."""
-
     system: str
     effect: str  # name of what should be found
     least: float = 0.0  # size of a difference; where it is relative, of the logarithm
@@ -46,6 +38,7 @@ class Kind:
     beside: frozenset[str] = frozenset()  # what is found with it
 
 
+_DRY = frozenset({"coulomb_friction[cart]"})
 FRICTION = "run_difference[coulomb_friction{}/size]"
 KINDS: dict[str, Kind] = {
     "spring: nothing": Kind(SPRING, ""),
@@ -61,17 +54,13 @@ KINDS: dict[str, Kind] = {
     "cart: length": Kind(CART, "run_difference[half_length]", 0.03, 0.3, True),
     "cart: force": Kind(CART, "run_force[cart]", 0.08, 0.5),
     "cart: zero": Kind(CART, "run_zero[pole]", 0.006, 0.04),
-    "cart: friction": Kind(
-        CART, FRICTION.format("[cart]"), 0.1, 0.5, beside=frozenset({"coulomb_friction[cart]"})
-    ),
+    "cart: friction": Kind(CART, FRICTION.format("[cart]"), 0.1, 0.5, False, _DRY),
 }
 NAMES = list(KINDS)
 
 
 @dataclass(frozen=True)
 class Made:
-    """Runs of a case."""
-
     kind: Kind
     each: tuple[float, ...]  # value of what differs in each run, in its unit
     machines: tuple[Small, ...] = field(repr=False, default=())
@@ -82,15 +71,13 @@ class Made:
 
 def _made(kind: Kind, by: Any, moments: tuple[float, ...] = ()) -> Made:
     """Runs of a machine that differ by so much, or by a factor of which this is the logarithm."""
-    parts = [
-        changed(MACHINES[kind.system], kind.effect, float(np.exp(v)) if kind.relative else v) for v in by
-    ]
+    sizes = [float(np.exp(v)) if kind.relative else v for v in by]
+    parts = [changed(MACHINES[kind.system], kind.effect, size) for size in sizes]
     machines, each, zeros = zip(*parts, strict=True)
     return Made(kind, each, machines, zeros, moments)
 
 
 def made(name: str, seed: int) -> Made:
-    """Draw the machines of the runs of a case."""
     kind = KINDS[name]
     rng = np.random.default_rng([seed, NAMES.index(name)])
     count = int(rng.integers(3, 7))
@@ -134,25 +121,23 @@ def changed(machine: Small, effect: str, by: float) -> tuple[Small, float, float
     if "mass" in effect:
         light = "kbg" if machine.system == SPRING else "gs"
         return replace(machine, values={k: v / by if k in light else v for k, v in values.items()}), by, 0.0
-    last = effect.rpartition("/")[2].rstrip("]").split("_")[-1]
-    key = {"gain": "g", "stiffness": "k", "damping": "b", "length": "l"}[last]
+    key = {"gain": "g", "stiffness": "k", "damping": "b", "length": "l"}[re.split(r"[/_\]]", effect)[-2]]
     return replace(machine, values={**values, key: values[key] * by}), values[key] * by, 0.0
 
 
 def write(case: Made, folder: Path, seed: int, seconds: float = 12.0) -> None:
-    """Write the runs of a case as CSV files."""
-    names = columns(case.kind.system)
+    runs = []
     for r, moment in enumerate(case.moments):
         before, after = case.machines[2 * r : 2 * r + 2]
         t, y, u = run(before, 30.0, 0.01, 1009 * seed + r, after, moment)
-        if any(case.zeros):
-            y[:, 2] += np.where(t < moment, *case.zeros[2 * r : 2 * r + 2])
-        save(folder / f"run_{r}.csv", names, [t + 100 * r, y, u], "%.7f")
+        zero = np.where(t < moment, *case.zeros[2 * r : 2 * r + 2])
+        runs.append((t, y, u, zero if any(case.zeros) else 0.0))
     for r, machine in enumerate(() if case.moments else case.machines):
-        t, y, u = run(machine, seconds, 0.01, seed=1009 * seed + r)
-        if case.zeros[r]:
-            y[:, 2] += case.zeros[r]
-        save(folder / f"run_{r}.csv", names, [t + 100 * r, y, u], "%.7f")
+        runs.append((*run(machine, seconds, 0.01, seed=1009 * seed + r), case.zeros[r]))
+    for r, (t, y, u, zero) in enumerate(runs):
+        if np.any(zero):
+            y[:, 2] += zero
+        save(folder / f"run_{r}.csv", columns(case.kind.system), [t + 100 * r, y, u], "%.7f")
 
 
 def answer_of(draw: Callable[[str, int], Made], keep: Path | None, name: str, seed: int) -> Json:
@@ -166,17 +151,12 @@ def answer_of(draw: Callable[[str, int], Made], keep: Path | None, name: str, se
     sure = {f["name"] for f in content["findings"] if not f["lead"]}
     named = {f["name"] for f in content["findings"]}
     wanted = {case.kind.effect, *case.kind.beside} - {""}
-    own = [
-        p
-        for k, p in answer["parameters"].items()
-        if k.startswith(f"{case.kind.effect}.") and p.get("run") and p["interval_90"]
-    ]
+    own_keys = [k for k in answer["parameters"] if k.startswith(f"{case.kind.effect}.")]
+    own = [p for k in own_keys if (p := answer["parameters"][k]).get("run") and p["interval_90"]]
     moments = [(case.moments[int(run[4:])], *times) for run, times in content["data"]["moments"].items()]
     return {
+        **{"kind": name, "seed": seed, "verdict": answer["verdict"], "seconds": answer["seconds"]},
         "moments": [[round(v % 100, 2) for v in times] for times in moments],
-        "kind": name,
-        "seed": seed,
-        "verdict": answer["verdict"],
         "each": [round(v, 4) for v in case.each],
         "found": sorted(named),
         "leads": sorted(named - sure),
@@ -185,7 +165,6 @@ def answer_of(draw: Callable[[str, int], Made], keep: Path | None, name: str, se
         "wrong": sorted(sure - wanted),
         "held": sum(_holds(p, case) for p in own),
         "intervals": len(own),
-        "seconds": answer["seconds"],
     }
 
 
@@ -219,14 +198,11 @@ def table(rows: list[Json]) -> str:
     some = [r for r in rows if KINDS[r["kind"]].effect]
     nulls = [r for r in rows if not KINDS[r["kind"]].effect]
     exact, right, held, count = (sum(r[k] for r in some) for k in ("exact", "right", "held", "intervals"))
+    silent, wrong = sum(not r["found"] for r in nulls), sum(bool(r["wrong"]) for r in rows)
     return (
-        f"\nnamed and nothing else {exact} of {len(some)}, named {right}; nothing named of nulls "
-        f"{sum(not r['found'] for r in nulls)} of {len(nulls)}; surely wrong "
-        f"{sum(bool(r['wrong']) for r in rows)}; intervals that hold {held} of {count}"
+        f"\nnamed and nothing else {exact} of {len(some)}, named {right}; nothing named of nulls {silent} of "
+        f"{len(nulls)}; surely wrong {wrong}; intervals that hold {held} of {count}"
     )
-
-
-# ---- runs that a trained model has not seen ------------------------------------------------------------
 
 
 def trained(name: str, seed: int) -> Json:
@@ -268,9 +244,8 @@ def table_of_trained(rows: list[Json]) -> str:
     means = {h: [r["coverage"][h] for r in rows if h in r["coverage"]] for h in horizons}
     text = ", ".join(f"{h} s {np.mean(v):.1%}" for h, v in means.items())
     share = np.mean([0.8 <= v <= 0.97 for of in means.values() for v in of])
-    return (
-        f"\nmean coverage of {len(rows)} cases: {text}; between 80 and 97 % in {share:.0%} of their horizons"
-    )
+    between = f"between 80 and 97 % in {share:.0%} of their horizons"
+    return f"\nmean coverage of {len(rows)} cases: {text}; {between}"
 
 
 def main() -> None:

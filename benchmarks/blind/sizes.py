@@ -6,12 +6,9 @@ along runs of the machine without it. What enters nonlinearly (widths, times, le
 ranges relative to what these runs hold.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -24,16 +21,11 @@ from nsde_torch.systems import System, make_plant_system
 
 Values = dict[str, float | list[float]]
 
-TIMES: dict[str, tuple[float, float]] = {
-    "mass_spring_damper": (0.01, 0.3),
-    "cartpole": (0.01, 0.1),
-    "hexacopter": (0.01, 0.1),
-}
+TIMES = {"mass_spring_damper": (0.01, 0.3), "cartpole": (0.01, 0.1), "hexacopter": (0.01, 0.1)}
 """Shortest and longest lag or delay [s]."""
 
 
-@dataclass(frozen=True)
-class Nominal:
+class Nominal(NamedTuple):
     """Runs of a machine with its declared physics alone, all rows together."""
 
     system: System  # the machine
@@ -49,23 +41,14 @@ class Nominal:
 @cache
 def nominal(system: str) -> Nominal:
     """Runs with noise as weak as it gets, of a seed of its own."""
-    options = {"variants": 6, "rounds": 1} if system == "hexacopter" else {}
-    made = simulate(
-        system,
-        durations=[30.0, 30.0] if system == "hexacopter" else None,
-        seed=987_654,
-        sensor_noise=0.0,
-        declared_only=True,
-        battery=system == "hexacopter",
-        options=options,
-    )
+    flying = system == "hexacopter"
+    quiet = {"seed": 987_654, "sensor_noise": 0.0, "declared_only": True, "battery": flying}
+    more = {"durations": [30.0, 30.0], "options": {"variants": 6, "rounds": 1}} if flying else {}
+    made = simulate(system, **quiet, **more)
     extra = [np.column_stack([run.u, *run.extra.values()]) for run in made.runs]
-    return Nominal(
-        make_plant_system(system, declared_only=True).double(),
-        torch.from_numpy(np.concatenate([run.t for run in made.runs])),
-        torch.from_numpy(np.concatenate([run.x for run in made.runs])),
-        torch.from_numpy(np.concatenate(extra)),
-    )
+    t, x, u = (np.concatenate(part) for part in ([r.t for r in made.runs], [r.x for r in made.runs], extra))
+    plant = make_plant_system(system, declared_only=True).double()
+    return Nominal(plant, torch.from_numpy(t), torch.from_numpy(x), torch.from_numpy(u))
 
 
 @torch.no_grad()
@@ -93,6 +76,11 @@ def shapes(cls: type[Effect], system: str, rng: np.random.Generator) -> Values:
     times = TIMES[system]
     speed, place = base.size(1), base.size(0)
     command = float(base.u[:, : base.system.nu].abs().quantile(0.95))
+
+    def wind() -> list[float]:
+        size, v = between(1.0, 4.0), rng.standard_normal(2)
+        return [float(w) for w in size * v / np.linalg.norm(v)]
+
     drawn: dict[str, Any] = {
         "width": lambda: between(0.01, 0.05) * (base.size(3) if "pole" in cls.name else speed),
         "speed": lambda: between(0.1, 0.4) * speed,
@@ -103,7 +91,7 @@ def shapes(cls: type[Effect], system: str, rng: np.random.Generator) -> Values:
             ("level", "level_forward", "level_backward"), lambda: command * rng.uniform(0.45, 0.97)
         ),
         "height": lambda: between(0.1, 0.3),
-        "wind": lambda: _direction(rng, 2, between(1.0, 4.0)),
+        "wind": wind,
         "gap": lambda: between(0.05, 0.4) * command,
         "reach": lambda: between(0.05, 0.4) * place,
         "length": lambda: place,
@@ -113,17 +101,11 @@ def shapes(cls: type[Effect], system: str, rng: np.random.Generator) -> Values:
         "order": lambda: float(rng.integers(1, 13)),
         "radius": lambda: between(0.4, 1.0),
     }
-    out: Values = {}
-    for name in cls.PARAMETERS:
-        if name in cls.amplitudes:
-            continue
-        if cls.name in ("actuator_deadband", "asymmetric_deadband"):
-            out[name] = between(0.003, 0.4) * command
-        elif cls.name in ("burst", "gust_burst") and name == "width":
-            out[name] = between(0.1, 0.6)
-        else:
-            out[name] = drawn[name]()
-    return out
+    if cls.name in ("actuator_deadband", "asymmetric_deadband"):
+        drawn = dict.fromkeys(cls.PARAMETERS, lambda: between(0.003, 0.4) * command)
+    elif cls.name in ("burst", "gust_burst"):
+        drawn["width"] = lambda: between(0.1, 0.6)
+    return {name: drawn[name]() for name in cls.PARAMETERS if name not in cls.amplitudes}
 
 
 def amplitudes(
@@ -149,8 +131,7 @@ def amplitudes(
     effect = cls({**shape, **unit}, n_inputs=n_inputs)
     if effect.n_memory:  # a memory of size 1: the term is as large as its amplitude
         base = nominal(system)
-        f = base.system.drift(base.t, base.x, base.u[:, :n_inputs]).detach()
-        now = 1.0 / float(f[:, 1].std())
+        now = 1.0 / float(base.system.drift(base.t, base.x, base.u[:, :n_inputs]).detach()[:, 1].std())
     else:
         now = share_of(effect, system)
     out: Values = {}
@@ -160,8 +141,3 @@ def amplitudes(
             row = [float(np.clip(v, -0.5, 0.5)) for v in row]
         out[name] = row if isinstance(value, list) else row[0]
     return out
-
-
-def _direction(rng: np.random.Generator, n: int, size: float) -> list[float]:
-    v = rng.standard_normal(n)
-    return [float(w) for w in size * v / np.linalg.norm(v)]

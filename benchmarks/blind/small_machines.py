@@ -10,10 +10,9 @@ force of sines and steps, and that of the cart also holds it near the middle by 
 and `cart` have sums of sines.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from math import cos, pi, sin, sqrt, tanh
 from typing import Any
 
@@ -58,13 +57,9 @@ def step(rates: Callable[[Sequence[Any]], Sequence[Any]], y: Sequence[Any], h: f
 
 @dataclass(frozen=True)
 class Small:
-    """A spring or a cart."""
-
     system: str  # `mass_spring_damper` or `cartpole`
     values: dict[str, float]  # its parameters by the names above
-    effects: dict[str, dict[str, Any]] = field(
-        default_factory=dict
-    )  # sizes of `EFFECTS` that it holds beside
+    effects: dict[str, dict[str, Any]] = field(default_factory=dict)  # sizes of `EFFECTS` that it holds
     noise: tuple[float, ...] = ()  # standard deviations of its sensors
     gust: float = 0.02  # white force and angular acceleration, by the root of a second [m/s1.5]
     steady: float = 0.0  # a force that never changes [m/s2]
@@ -117,7 +112,6 @@ def run(
 
 
 def columns(system: str) -> tuple[str, ...]:
-    """Names of the columns of a log."""
     return "t", *STATES[system], "force"
 
 
@@ -129,19 +123,14 @@ def _signal(t: Array, rng: np.random.Generator, band: tuple[float, float]) -> Ar
     return np.asarray(out + rng.choice((-0.6, 0.0, 0.6), len(edges))[np.searchsorted(edges, t)])
 
 
-# ---- runs whose position alone is measured -------------------------------------------------------------
-
-
 def rates(q: Array, dt: float, how: str) -> Array:
     """Rates that a user makes of a position column (n,)."""
-    if how == "gradient":
-        return np.asarray(np.gradient(q, dt))
     if how == "backward":
         return np.diff(q, prepend=q[0]) / dt
     if how == "savgol":
         return np.asarray(savgol_filter(q, 11, 3, deriv=1, delta=dt))
-    b, a = butter(2, 10.0 * 2.0 * dt)
-    return np.asarray(lfilter(b, a, np.gradient(q, dt)))
+    steepness = np.asarray(np.gradient(q, dt))
+    return steepness if how == "gradient" else np.asarray(lfilter(*butter(2, 10.0 * 2.0 * dt), steepness))
 
 
 def measured(q: Array, noise: float, counts: bool, rng: np.random.Generator) -> Array:
@@ -159,26 +148,10 @@ def sums_of_sines(t: Array, size: float, rng: np.random.Generator, low: float, h
     return np.asarray(size / 2.0 * np.sin(2.0 * np.pi * hertz * t[:, None] + phase).sum(1))
 
 
-def spring(values: dict[str, float], law: Law, **how: Any) -> tuple[Array, Array]:
-    """True states (n, 2) and forces (n, 1); see `_true`."""
-    return _true("mass_spring_damper", values, law, **how)
-
-
-def cart(values: dict[str, float], law: Law, **how: Any) -> tuple[Array, Array]:
-    """True states (n, 4) and forces (n, 1); the pole hangs."""
-    return _true("cartpole", values, law, **how)
-
-
 def _true(
-    system: str,
-    values: dict[str, float],
-    law: Law,
-    *,
-    seconds: float,
-    dt: float,
-    gust: float,
-    rng: np.random.Generator,
+    system: str, values: dict[str, float], law: Law, *, seconds: float, dt: float, gust: float, rng: Any
 ) -> tuple[Array, Array]:
+    """True states (n, nx) and forces (n, 1); the pole of a cart hangs."""
     cart = system == "cartpole"
     t = dt * np.arange(round(seconds / dt))
     u = sums_of_sines(t, values["force"], rng, 0.15 if cart else 0.08, 1.5)
@@ -189,7 +162,9 @@ def _true(
         out[n] = y
         for _ in range(fine):
             white = gust * rng.standard_normal() / sqrt(h)
-            y = step(
-                lambda y, u=push, white=white: rate(system, values, y, u, white + law(y[0], y[1]), 0.0), y, h
-            )
+            push_of = lambda y, u=push, w=white: rate(system, values, y, u, w + law(y[0], y[1]), 0.0)  # noqa: E731
+            y = step(push_of, y, h)
     return out, u[:, None]
+
+
+spring, cart = partial(_true, "mass_spring_damper"), partial(_true, "cartpole")

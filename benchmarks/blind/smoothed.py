@@ -1,18 +1,12 @@
 """Blind cases whose states went through a smoother before they were logged: are the same effects named?
 
-    python benchmarks/blind/generate.py --seed 1 --count 300 --out blind/
-    python benchmarks/blind/smoothed.py --cases blind/ --out smooth/ --seed 5
-    python benchmarks/blind/run.py --cases blind/ --jobs 2
-    python benchmarks/blind/run.py --cases smooth/ --jobs 2
-    python benchmarks/blind/smoothed.py --cases blind/ --out smooth/ --judge
+    python benchmarks/blind/smoothed.py --cases blind/ --out smooth/ --seed 5       # of generate.py or closed_loop.py
+    python benchmarks/blind/smoothed.py --cases blind/ --out smooth/ --judge        # both answered by run.py
 
-Each case of one effect or none gets a smoother of SciPy (`bench_smoothed_states.FILTERS`), with a cut-off between 2 and
-20 Hz, over all of its states; every second flight over positions and velocities alone, as motion capture has them.
-`--judge` holds the answers beside those on the raw logs (leads in brackets). Flights of `closed_loop.py` are smoothed
-in the same way, diagnosed and judged by `closed_loop_run.py --cases smooth/`.
+Each case of one effect or none gets a smoother of `bench_smoothed_states`, with a cut-off between 2 and 20 Hz, over all
+of its states; every second flight over positions and velocities alone, as motion capture has them. `--judge` holds the
+answers beside those on the raw logs (leads in brackets).
 """
-
-from __future__ import annotations
 
 import shutil
 import sys
@@ -59,35 +53,28 @@ def smooth(cases: Path, out: Path, seed: int) -> int:
 
 
 def _sure(answer: Json) -> list[str]:
-    """What is named and is no lead."""
     leads = {f["name"] for f in answer["findings"] if f["lead"]}
     return [name for name in answer["added"] if name not in leads]
 
 
-def _right(truth: Json, answer: Json) -> bool:
-    return sorted(answer["added"]) == sorted(truth["effects"])
-
-
 def _wrong(truth: Json, answer: Json) -> list[str]:
     """What is named for sure beyond the truth, and is no member of a tie with it."""
-    tied = {
-        n for t in answer.get("ties", []) if set(t["effects"]) & set(truth["effects"]) for n in t["effects"]
-    }
-    return [n for n in _sure(answer) if n not in truth["effects"] and n not in tied]
+    ties = [set(tie["effects"]) for tie in answer.get("ties", [])]
+    known = set(truth["effects"]).union(*(tie for tie in ties if tie & set(truth["effects"])))
+    return [name for name in _sure(answer) if name not in known]
 
 
 def _off(truth: Json, answer: Json) -> list[str]:
     """Parameters of the true effects that are wrong by 5 % and more, and whose intervals do not hold."""
-    out = []
+    out, known = [], answer.get("parameters", {})
     for label, v in labelled({effect: of["parameters"] for effect, of in truth["effects"].items()}):
-        said = answer.get("parameters", {}).get(label)
-        if said and said["interval_90"] and abs(said["value"] - v) > 0.05 * abs(v) and not holds(said, v):
+        said = known.get(label) or {}
+        if said.get("interval_90") and abs(said["value"] - v) > 0.05 * abs(v) and not holds(said, v):
             out.append(label)
     return out
 
 
 def judge(cases: Path, out: Path) -> str:
-    """A table of raw and smoothed answers."""
     rows = []
     same = named = raw_named = silent = nulls = 0
     wrong: list[str] = []
@@ -101,8 +88,8 @@ def judge(cases: Path, out: Path) -> str:
             one["added"] = [key(effect) for effect in one["added"]]
             one["findings"] = [{**f, "name": key(f["name"])} for f in one["findings"]]
         if truth["effects"]:
-            raw_named += _right(truth, raw)
-            named += _right(truth, raw) and _right(truth, answer)
+            right = [sorted(one["added"]) == sorted(truth["effects"]) for one in (raw, answer)]
+            raw_named, named = raw_named + right[0], named + all(right)
         else:
             nulls += raw["verdict"] == "no_effect"
             silent += raw["verdict"] == "no_effect" == answer["verdict"]
@@ -110,10 +97,10 @@ def judge(cases: Path, out: Path) -> str:
         off = _off(truth, answer)
         if _wrong(truth, answer) or off:
             wrong.append(name)
-        told = [
-            ", ".join(n if n in _sure(a) else f"({n})" for n in a["added"]) or a["verdict"]
-            for a in (raw, answer)
-        ]
+        told = []
+        for one in (raw, answer):
+            names = (n if n in _sure(one) else f"({n})" for n in one["added"])
+            told.append(", ".join(names) or one["verdict"])
         true = ", ".join(truth["effects"]) or "nothing"
         through = f"{truth['smoother']['name']} {truth['smoother']['cut_hz']:.1f} Hz"
         rows.append((name, truth["system"], true, through, *told, ", ".join(off)))

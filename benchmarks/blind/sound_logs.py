@@ -8,20 +8,16 @@ writes three runs of each log (CSV). Each log has one excitation and one or two 
 `nsde_torch`. Nothing is wrong with any log, and machines hold nothing that is not declared.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from closed_loop import STATES as FLYING
 from closed_loop import _machine
 from loop_flight import SENSORS, Flight, fly, measured
-from loop_machine import Bodies
 from small_machines import columns, rate, small, step
 from study import Array, save
 from study import options as common
@@ -37,13 +33,8 @@ FLIGHTS = ("waypoints", "circle", "sines", "sticks", "hover")
 def _waves(t: Array, rng: np.random.Generator) -> Array:
     f = rng.uniform(0.3, 1.6, 5)
     size = rng.uniform(0.3, 1.0, 5)
-    return np.asarray(
-        (size[:, None] * np.sin(2 * np.pi * f[:, None] * t + rng.uniform(0, 6.3, (5, 1)))).sum(0)
-    )
-
-
-def _one_wave(t: Array, rng: np.random.Generator) -> Array:
-    return np.asarray(1.5 * np.sin(2 * np.pi * rng.uniform(0.3, 1.5) * t + rng.uniform(0, 6.3)))
+    waves = size[:, None] * np.sin(2 * np.pi * f[:, None] * t + rng.uniform(0, 6.3, (5, 1)))
+    return np.asarray(waves.sum(0))
 
 
 def _chirp(t: Array, rng: np.random.Generator) -> Array:
@@ -54,10 +45,6 @@ def _chirp(t: Array, rng: np.random.Generator) -> Array:
 def _held(t: Array, rng: np.random.Generator, low: float, high: float, levels: Array) -> Array:
     edges = np.cumsum(rng.uniform(low, high, int(t[-1] / low) + 2))
     return np.asarray(rng.choice(levels, len(edges))[np.searchsorted(edges, t)])
-
-
-def _steps(t: Array, rng: np.random.Generator) -> Array:
-    return _held(t, rng, 1.0, 4.0, np.linspace(-1.5, 1.5, 7))
 
 
 def _prbs(t: Array, rng: np.random.Generator) -> Array:
@@ -72,28 +59,23 @@ def _ramps(t: Array, rng: np.random.Generator) -> Array:
 
 def _hand(t: Array, rng: np.random.Generator) -> Array:
     """Band-limited noise as of a hand on a knob: white noise through four low-pass filters of 0.1 s."""
-    dt = t[1] - t[0]
     out = rng.standard_normal(len(t))
-    keep = math.exp(-dt / 0.1)
+    keep = math.exp(-(t[1] - t[0]) / 0.1)
     for _ in range(4):
         for k in range(1, len(out)):
             out[k] = keep * out[k - 1] + (1 - keep) * out[k]
     return np.asarray(1.5 * out / out.std())
 
 
-def _alone(t: Array, rng: np.random.Generator) -> Array:
-    return 0.0 * t
-
-
 EXCITATIONS: dict[str, Signal] = {
     "waves": _waves,
-    "one wave": _one_wave,
+    "one wave": lambda t, rng: 1.5 * np.sin(2 * np.pi * rng.uniform(0.3, 1.5) * t + rng.uniform(0, 6.3)),
     "chirp": _chirp,
-    "steps": _steps,
+    "steps": lambda t, rng: _held(t, rng, 1.0, 4.0, np.linspace(-1.5, 1.5, 7)),
     "PRBS": _prbs,
     "ramps": _ramps,
     "hand": _hand,
-    "controller alone": _alone,
+    "controller alone": lambda t, rng: 0.0 * t,
 }
 HABITS = (
     *("plain", "no noise", "large noise", "encoder", "3 decimals", "4 digits", "gyroscope", "tacho"),
@@ -101,8 +83,7 @@ HABITS = (
 )
 
 
-@dataclass(frozen=True)
-class Case:
+class Case(NamedTuple):
     """One log: its machine, excitation, habits and step [s], and the seed of all that is random in it."""
 
     name: str
@@ -113,29 +94,22 @@ class Case:
     seed: int
 
 
-def cases(seed: int, systems: list[str], repeats: int) -> list[Case]:
-    """Every excitation with every habit, `repeats` times; every second log has a second habit."""
+def cases(seed: int, systems: list[str]) -> list[Case]:
+    """Every excitation with every habit; every second log has a second habit."""
     out = []
     for system in systems:
         rng = np.random.default_rng([seed, *system.encode()])
         flying = system == "quadrotor"
-        habits = [
-            h
-            for h in HABITS
-            if h not in (("rest", "wrap") if flying else ()) and (h, system) != ("wrap", "mass_spring_damper")
-        ]
-        for again in range(repeats):
-            for excitation in FLIGHTS if flying else EXCITATIONS:
-                for i, habit in enumerate(habits):
-                    second = str(rng.choice([h for h in habits if h != habit]))
-                    both = (habit, second) if (i + again) % 2 else (habit,)
-                    dt = 1.0 / float(rng.choice(FLIGHT_RATES if flying else RATES))
-                    name = f"{system}_{len(out):03d}"
-                    out.append(Case(name, system, excitation, both, dt, int(rng.integers(2**31))))
+        never = {"quadrotor": ("rest", "wrap"), "mass_spring_damper": ("wrap",)}.get(system, ())
+        habits = [h for h in HABITS if h not in never]
+        for excitation in FLIGHTS if flying else EXCITATIONS:
+            for i, habit in enumerate(habits):
+                second = str(rng.choice([h for h in habits if h != habit]))
+                both = (habit, second) if i % 2 else (habit,)
+                dt = 1.0 / float(rng.choice(FLIGHT_RATES if flying else RATES))
+                name = f"{system}_{len(out):03d}"
+                out.append(Case(name, system, excitation, both, dt, int(rng.integers(2**31))))
     return out
-
-
-# ---- springs and carts -----------------------------------------------------------------------------------
 
 
 def _run(
@@ -172,24 +146,10 @@ def _run(
     return t, rows, forces
 
 
-def _small(case: Case) -> tuple[list[tuple[Array, ...]], Array]:
-    rng = np.random.default_rng([case.seed, 0])
-    machine = small(case.system, rng, effect=False)
-    noise = np.array(machine.noise)
-    gust = 0.0 if "no noise" in case.habits else float(rng.choice((0.0, 0.02)))
-    controller = noise * (0.0 if "no noise" in case.habits else 1.0)
-    return [
-        _run(case, machine.values, gust, controller, s, k) for k, s in enumerate(_seconds(case, rng))
-    ], noise
-
-
 def _seconds(case: Case, rng: np.random.Generator) -> list[float]:
-    if "lengths" in case.habits:
-        return [float(s) for s in rng.permutation([4.0, 13.0, 41.0])]
-    return [20.0] * RUNS
-
-
-# ---- quadrotors ----------------------------------------------------------------------------------------
+    return (
+        [float(s) for s in rng.permutation([4.0, 13.0, 41.0])] if "lengths" in case.habits else [20.0] * RUNS
+    )
 
 
 def _flights(case: Case) -> list[tuple[Array, ...]]:
@@ -202,16 +162,6 @@ def _flights(case: Case) -> list[tuple[Array, ...]]:
         for k, s in enumerate(_seconds(case, rng))
     ]
     return [(one.t, one.truth, one.u) for one in fly(flights)]
-
-
-def _turned(true: Array, noise: Array) -> Array:
-    """True states (n, 13) with noise (n, 12) of the sensors."""
-    body = Bodies.__new__(Bodies)
-    body.p, body.v, body.q, body.w = true[:, :3], true[:, 3:6], true[:, 6:10], true[:, 10:]
-    return measured(body, noise)
-
-
-# ---- what a laboratory logs of it ----------------------------------------------------------------------
 
 
 def _lagged(values: Array, dt: float, tau: float) -> Array:
@@ -230,11 +180,7 @@ def logged(case: Case, t: Array, true: Array, u: Array, noise: Array, k: int) ->
     rates = slice(10, 13) if flying else slice(1, None, 2)
     places = slice(0, 3) if flying else slice(0, None, 2)
     of_rates = slice(9, 12) if flying else rates
-    std = noise.copy()
-    if "no noise" in case.habits:
-        std = 0.0 * std
-    if "large noise" in case.habits:
-        std = 6.0 * std
+    std = noise * (0.0 if "no noise" in case.habits else 1.0) * (6.0 if "large noise" in case.habits else 1.0)
     if "gyroscope" in case.habits:
         std[of_rates] = std[of_rates] * np.exp(np.random.default_rng([case.seed, 49]).uniform(-2.0, 2.0))
     if "encoder" in case.habits:
@@ -243,7 +189,7 @@ def logged(case: Case, t: Array, true: Array, u: Array, noise: Array, k: int) ->
     if "tacho" in case.habits and case.dt < 0.02:
         true[:, rates] = _lagged(true[:, rates], case.dt, 1.0 / (2 * np.pi * 40.0))
     white = std * rng.standard_normal((len(t), len(std)))
-    x = _turned(true, white) if flying else true + white
+    x = measured(true, white) if flying else true + white
     if "encoder" in case.habits:
         grain = 0.001 if flying else 2 * np.pi / 4096.0
         x[:, places] = grain * np.round(x[:, places] / grain)
@@ -254,33 +200,34 @@ def logged(case: Case, t: Array, true: Array, u: Array, noise: Array, k: int) ->
     return t, x, u
 
 
-def _format(case: Case) -> str:
-    return "%.3f" if "3 decimals" in case.habits else "%.4g" if "4 digits" in case.habits else "%.9g"
-
-
 def write(case: Case, folder: Path) -> None:
-    """Three runs as CSV files."""
     flying = case.system == "quadrotor"
-    runs, noise = (_flights(case), SENSORS) if flying else _small(case)
+    runs, noise = _flights(case) if flying else [], SENSORS
+    if not flying:
+        rng, quiet = np.random.default_rng([case.seed, 0]), "no noise" in case.habits
+        machine = small(case.system, rng, effect=False)
+        noise = np.array(machine.noise)
+        gust = 0.0 if quiet else float(rng.choice((0.0, 0.02)))
+        how = machine.values, gust, noise * (0.0 if quiet else 1.0)
+        runs = [_run(case, *how, s, k) for k, s in enumerate(_seconds(case, rng))]
     names = ["t", *FLYING, "u_1", "u_2", "u_3", "u_4"] if flying else columns(case.system)
     for k, run in enumerate(runs):
         t, x, u = logged(case, *run, noise, k)
         time = "%.7g" if "jitter" in case.habits else "%.6g"
-        formats = [time, *[_format(case)] * (x.shape[1] + u.shape[1])]
+        other = "%.3f" if "3 decimals" in case.habits else "%.4g" if "4 digits" in case.habits else "%.9g"
+        formats = [time, *[other] * (x.shape[1] + u.shape[1])]
         save(folder / "data" / case.name / f"run_{k}.csv", names, [t, x, u], formats)
 
 
 def options(doc: str | None, **how: Any) -> argparse.ArgumentParser:
-    """Seed, machines and number of the logs."""
     parser = common(doc, "seed", **how)
     parser.add_argument("--systems", nargs="+", default=SYSTEMS)
-    parser.add_argument("--repeats", type=int, default=1, help="logs of each excitation and habit")
     return parser
 
 
 def main() -> None:
     given = options(__doc__, out=Path("sound")).parse_args()
-    for case in cases(given.seed, given.systems, given.repeats):
+    for case in cases(given.seed, given.systems):
         if not (given.out / "data" / case.name / f"run_{RUNS - 1}.csv").is_file():
             write(case, given.out)
             print(case.name, flush=True)

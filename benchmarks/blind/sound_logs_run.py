@@ -9,14 +9,11 @@ What `nsde_torch.read` finds of a log of `sound_logs`, beside what a habit truly
 is a refusal.
 """
 
-from __future__ import annotations
-
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from sound_logs import EXCITATIONS, FLIGHTS, HABITS, Case, cases, options
+from sound_logs import Case, cases, options
 from study import Json, markdown, read_json, write_json
 
 TRUE = {
@@ -32,12 +29,10 @@ BENIGN = {"rank_deficient_inputs", "interventions", "constant_input"}
 
 
 def read(case: Case, folder: Path) -> Json:
-    """What reading says of one log."""
     import nsde_torch
     from nsde_torch.errors import NsdeError
 
     started = time.perf_counter()
-    found: list[tuple[str, str]] = []
     try:
         data = nsde_torch.read(folder / "data" / case.name, system=case.system)
         found = [(f.kind, str(f)) for f in data.summary.findings]
@@ -54,12 +49,8 @@ def diagnose(case: Case, folder: Path) -> Json:
     started = time.perf_counter()
     try:
         found = nsde_torch.diagnose(folder / "data" / case.name, system=case.system)
-        said = {
-            "verdict": found.verdict,
-            "added": list(found.added),
-            "recording": [[f.name, f.sentence] for f in found.faults],
-            "report": found.report,
-        }
+        said = {"verdict": found.verdict, "added": list(found.added), "report": found.report}
+        said["recording"] = [[f.name, f.sentence] for f in found.faults]
     except NsdeError as error:
         said = {"verdict": "refused", "added": [], "recording": [], "report": str(error)}
     return {**said, "seconds": time.perf_counter() - started}
@@ -85,35 +76,22 @@ def _diagnose_some(plan: list[Case], folder: Path, count: int) -> None:
 
 
 def false_alarms(case: Case, found: list[tuple[str, str]]) -> list[tuple[str, str]]:
-    """Findings that are not so."""
     true = set(BENIGN).union(*(TRUE.get(habit, set()) for habit in case.habits))
     return [(kind, text) for kind, text in found if kind not in true]
 
 
 def table(plan: list[Case], folder: Path) -> str:
-    """False alarms by system, habit and excitation."""
+    """False alarms by system, and each with its habits and excitation."""
     answers = {
         case: false_alarms(case, read_json(path)["found"])
         for case in plan
         if (path := folder / "answers" / f"{case.name}.json").is_file()
     }
-    systems = list(dict.fromkeys(case.system for case in answers))
-    rows = []
-
-    def row(name: str, of: Callable[[Case], bool]) -> None:
-        cells = []
-        for system in systems:
-            some = [bool(alarms) for case, alarms in answers.items() if case.system == system and of(case)]
-            cells.append(f"{sum(some)} of {len(some)}" if some else "")
-        if any(cells):
-            rows.append([name, *cells])
-
-    for habit in HABITS:
-        row(habit, lambda case, habit=habit: habit in case.habits)
-    for excitation in (*EXCITATIONS, *FLIGHTS):
-        row(excitation, lambda case, e=excitation: case.excitation == e)
-    row("all", lambda case: True)
-    lines = [*markdown(("", *systems), rows), ""]
+    by_system: dict[str, list[bool]] = {}
+    for case, alarms in answers.items():
+        by_system.setdefault(case.system, []).append(bool(alarms))
+    rows = [(system, f"{sum(some)} of {len(some)}") for system, some in by_system.items()]
+    lines = [*markdown(("", "logs with a false alarm"), rows), ""]
     for case, alarms in answers.items():
         for kind, text in alarms:
             lines.append(
@@ -125,18 +103,16 @@ def table(plan: list[Case], folder: Path) -> str:
 def main() -> None:
     parser = options(__doc__, judge=False)
     parser.add_argument("--logs", type=Path, required=True, help="folder of sound_logs.py")
-    parser.add_argument("--again", nargs="*", default=None, help="read these again; none named: all")
     parser.add_argument("--diagnose", type=int, default=0, help="so many of each system, instead of reading")
     given = parser.parse_args()
-    every = cases(given.seed, given.systems, given.repeats)
+    every = cases(given.seed, given.systems)
     plan = [c for c in every if (given.logs / "data" / c.name).is_dir()]
     if given.diagnose:
         _diagnose_some(plan, given.logs, given.diagnose)
         return
     for case in () if given.judge else plan:
         answer = given.logs / "answers" / f"{case.name}.json"
-        asked = given.again is not None and (not given.again or case.name in given.again)
-        if answer.is_file() and not asked:
+        if answer.is_file():
             continue
         said = read(case, given.logs)
         write_json(answer, said)

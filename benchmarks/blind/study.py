@@ -4,8 +4,6 @@ A folder of cases has the logs of a case in `data/NAME`, what is true of it in `
 in `answers/NAME.json`.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os
@@ -25,19 +23,28 @@ Json = dict[str, Any]
 Array = NDArray[np.float64]
 Case = tuple[str, Callable[[], Json], Json]
 """Name of an answer, what makes it, and the answer where that ends in an error, which counts as wrong."""
-STATES = {
+STATES: dict[str, tuple[str, ...]] = {
     "mass_spring_damper": ("q", "q_dot"),
     "cartpole": ("x", "x_dot", "theta", "theta_dot"),
-    "multirotor": (
-        *("p_x", "p_y", "p_z", "v_x", "v_y", "v_z", "q_w", "q_x", "q_y", "q_z"),
-        *("w_x", "w_y", "w_z"),
-    ),
 }
+STATES["multirotor"] = (
+    "p_x",
+    "p_y",
+    "p_z",
+    "v_x",
+    "v_y",
+    "v_z",
+    "q_w",
+    "q_x",
+    "q_y",
+    "q_z",
+    "w_x",
+    "w_y",
+    "w_z",
+)
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(_name, "1")  # of libraries and processes that come later
 threadpool_limits(1)
-
-# ---- command lines -------------------------------------------------------------------------------------
 
 _COMMON: dict[str, Json] = {
     "seed": {"type": int, "help": "seed of the cases"},
@@ -64,9 +71,6 @@ def options(doc: str | None, *needed: str, **defaults: Any) -> argparse.Argument
     for name, default in defaults.items():
         parser.add_argument(f"--{name.replace('_', '-')}", default=default, **_COMMON[name])
     return parser
-
-
-# ---- files ---------------------------------------------------------------------------------------------
 
 
 def read_json(path: Path) -> Any:
@@ -103,24 +107,22 @@ def answered(folder: Path) -> Iterator[tuple[str, Json, Json]]:
 
 
 def markdown(head: Sequence[Any], rows: Iterable[Sequence[Any]]) -> list[str]:
-    """Lines of a table."""
     return [line(head), "|---" * len(head) + "|", *map(line, rows)]
+
+
+def head(*names: Any) -> None:
+    print("\n".join(markdown(names, [])), flush=True)
 
 
 def line(cells: Iterable[Any]) -> str:
     return f"| {' | '.join(map(str, cells))} |"
 
 
-# ---- cases ---------------------------------------------------------------------------------------------
-
-
 def diagnosed(data: Any, system: Any, **how: Any) -> tuple[Any, Json]:
     """A diagnosis, and what studies keep of it."""
-    import torch
 
     import nsde_torch
 
-    torch.set_num_threads(1)
     started = time.perf_counter()
     found = nsde_torch.diagnose(data, system=system, **{"say": False, **how})
     content = found.content()
@@ -188,7 +190,6 @@ def inside(answers: Iterable[Json]) -> str:
 def numbered(
     a: argparse.Namespace, make: Callable[..., Json], begin: str = "seed", **wrong: Any
 ) -> list[Case]:
-    """Cases of one seed by their numbers."""
     return [
         (f"{begin}_{a.seed}_{i:03d}", partial(make, a.seed, i), {"case": i, **wrong})
         for i in range(a.first, a.first + a.count)
@@ -224,12 +225,10 @@ def answers(out: Path, cases: Iterable[Case], finish: Callable[[Json], str]) -> 
 
 
 def pooled(jobs: int, work: Mapping[str, Callable[[], str]]) -> None:
-    """Do work in processes; print what became of each piece, and about how long the rest takes."""
+    """Do work in processes; print what became of each piece."""
     started = time.perf_counter()
     with ProcessPoolExecutor(jobs) as pool:
         waiting = {pool.submit(make): name for name, make in work.items()}
         for k, job in enumerate(as_completed(waiting), start=1):
             spent = time.perf_counter() - started
-            left = spent / k * (len(work) - k)
-            said = f"({k} of {len(work)}, {spent:.0f} s, about {left:.0f} s left)"
-            print(waiting[job], job.result(), said, flush=True)
+            print(waiting[job], job.result(), f"({k} of {len(work)}, {spent:.0f} s)", flush=True)

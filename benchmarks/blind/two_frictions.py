@@ -6,8 +6,6 @@ An answer is right where both effects are named, or are indistinguishable from w
 that the interval of the declared damping does not hold the true value.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +17,6 @@ RUNS, SECONDS, DT = 4, 8.0, 0.01
 
 
 def case(seed: int, i: int) -> Json:
-    """Make and diagnose one case."""
     rng = np.random.default_rng([seed, i])
     values = {"k": rng.uniform(2.0, 8.0), "b": 0.5, "g": 1.0}
     dry, quadratic = rng.uniform(0.06, 0.24), rng.uniform(0.14, 0.72)
@@ -35,9 +32,7 @@ def case(seed: int, i: int) -> Json:
     truth = {"coulomb_friction": {"size": dry}, "quadratic_damping": {"damping": quadratic}}
     damping = answer["declared"][DAMPING]
     return {
-        **answer,
-        "case": i,
-        "truth": truth,
+        **{**answer, "case": i, "truth": truth},
         "right": set(truth) <= {*answer["added"], *tied(answer)},
         "inside": held(truth, answer["parameters"]),
         "damping_missed": bool(damping.get("interval_90")) and not holds(damping, values["b"]),

@@ -6,8 +6,6 @@ user's class beside it. Kinds in turn: one effect in one joint, one in each join
     python benchmarks/blind/two_joints.py --seed 1 --count 20 --out runs/two_joints
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -30,20 +28,21 @@ def laws(rng: np.random.Generator, torque: float, speed: float) -> dict[str, tup
     v0 = 0.01 * speed
     ratio, vs = rng.uniform(0.3, 0.6), 0.15 * speed
     d1, d2, k = c / speed, c / speed**2, 2.0 * c
+
+    def uneven(q: float, w: float) -> float:
+        return -(c if w > 0 else ratio * c) * np.tanh(w / v0)
+
+    def stribeck(q: float, w: float) -> float:
+        return -(c + c * np.exp(-((w / vs) ** 2))) * np.tanh(w / v0)
+
     return {
         "coulomb_friction": (lambda q, w: -c * np.tanh(w / v0), {"size": c}),
         "viscous_friction": (lambda q, w: -d1 * w, {"damping": d1}),
         "quadratic_damping": (lambda q, w: -d2 * abs(w) * w, {"damping": d2}),
         "constant_force": (lambda q, w: c, {"acceleration": c}),
         "cubic_stiffness": (lambda q, w: -k * q**3, {"stiffness": k}),
-        "asymmetric_friction": (
-            lambda q, w: -(c if w > 0 else ratio * c) * np.tanh(w / v0),
-            {"size_forward": c, "size_backward": ratio * c},
-        ),
-        "stribeck_friction": (
-            lambda q, w: -(c + c * np.exp(-((w / vs) ** 2))) * np.tanh(w / v0),
-            {"size": c, "extra": c},
-        ),
+        "asymmetric_friction": (uneven, {"size_forward": c, "size_backward": ratio * c}),
+        "stribeck_friction": (stribeck, {"size": c, "extra": c}),
     }
 
 
@@ -70,17 +69,12 @@ def drawn(seed: int, i: int) -> tuple[str, dict[str, dict[str, float]], make_dat
 
 
 def case(seed: int, i: int) -> Json:
-    """Make and diagnose one case."""
     kind, truth, push = drawn(seed, i)
-    how: dict[str, Any] = {
-        "seed": seed * 1000 + i,
-        "runs": 4,
-        "seconds": 12.0,
-        "noise": (1.0, 0.3, 3.0)[i % 3],
-    }
+    noise = (1.0, 0.3, 3.0)[i % 3]
+    how: dict[str, Any] = {"seed": seed * 1000 + i, "runs": 4, "seconds": 12.0, "noise": noise}
     _, _, answer = written(lambda folder: make_data.write(folder, push, **how), SYSTEM)
     inside = held(truth, answer["parameters"])
-    return {"case": i, "kind": kind, "noise": how["noise"], "truth": truth, **answer, "inside": inside}
+    return {"case": i, "kind": kind, "noise": noise, "truth": truth, **answer, "inside": inside}
 
 
 def right(answer: Json) -> bool:

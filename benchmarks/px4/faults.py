@@ -1,7 +1,5 @@
 """The faults that are made in flight, how each is made, and the end that the documentation promises."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time
@@ -18,23 +16,16 @@ from nsde_torch.px4.link import dialect as d
 
 @dataclass(frozen=True)
 class Flight:
-    """What a fault can reach while it is made."""
-
     pid: int  # of `nsde fly`
     line: Line  # between it and PX4
-    px4: int | None  # process id of PX4, None where it is not known
 
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault."""
-
     name: str  # what happens
     make: Callable[[Flight], None] | None  # makes it; None: a limit that is set beforehand
     status: tuple[int, ...]  # exit statuses that are right
-    trouble: tuple[
-        str, ...
-    ] = ()  # kinds of trouble that are right; empty: none is written, as the process has ended
+    trouble: tuple[str, ...] = ()  # kinds of trouble that are right; empty: none is written, as it has ended
     words: tuple[str, ...] = ("reference=lemniscate",)  # settings of the flight
     phase: str = "track"  # in which it is made
     after: float = 3.0  # how long into it [s]
@@ -59,25 +50,12 @@ def _set(**what: bool) -> Callable[[Flight], None]:
     return make
 
 
-def _ask(mode: d.Mode) -> Callable[[Flight], None]:
-    return lambda flight: flight.line.ask(mode)
-
-
 def _stop_the_solver(flight: Flight) -> None:
     """The controller's process stands still; it is the child that is not Python's resource tracker."""
-    for child in _children(flight.pid):
-        os.kill(child, signal.SIGSTOP)
-
-
-def _children(pid: int) -> list[int]:
-    tasks = Path(f"/proc/{pid}/task")
-    found = [int(c) for t in tasks.iterdir() for c in (t / "children").read_text().split()]
-    return [c for c in found if b"spawn_main" in Path(f"/proc/{c}/cmdline").read_bytes()]
-
-
-def _kill_px4(flight: Flight) -> None:
-    assert flight.px4 is not None
-    os.kill(flight.px4, signal.SIGKILL)
+    tasks = Path(f"/proc/{flight.pid}/task")
+    for child in [int(c) for t in tasks.iterdir() for c in (t / "children").read_text().split()]:
+        if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes():
+            os.kill(child, signal.SIGSTOP)
 
 
 def _fence() -> str:
@@ -89,14 +67,11 @@ def _fence() -> str:
 
 def faults(px4: int | None) -> list[Fault]:
     """All of them; PX4 is killed last, and only where its process is known."""
+    lost = (4,), ("link", "estimate")
+    stands = _signal(signal.SIGSTOP, signal.SIGCONT, pause=4.0)
     out: list[Fault] = [
         Fault("killed with -9", _signal(signal.SIGKILL), (-signal.SIGKILL,)),
-        Fault(
-            "stopped for 4 s",
-            _signal(signal.SIGSTOP, signal.SIGCONT, pause=4.0),
-            (3,),
-            ("late", "mode", "link"),
-        ),
+        Fault("stopped for 4 s", stands, (3,), ("late", "mode", "link")),
         Fault("SIGINT once", _signal(signal.SIGINT), (130,), ("stop",)),
         Fault("SIGINT twice", _signal(signal.SIGINT, signal.SIGINT), (130,), ("stop",)),
         Fault("fence", None, (3,), ("fence",), ("reference=circle", _fence())),
@@ -104,17 +79,15 @@ def faults(px4: int | None) -> list[Fault]:
         # a predictive controller does not fly plans that tilt too far
         Fault("tilt", None, (3,), ("tilt", "solver"), ("reference=lemniscate", "limits.tilt=15")),
         Fault("no states", _set(stale=True), (3,), ("estimate",)),
-        Fault("another client's mode", _ask(d.LAND), (3,), ("mode",)),
-        Fault(
-            "link cut at take-off", _set(cut=True), (4,), ("link", "estimate"), phase="take off", after=1.5
-        ),
-        Fault("link cut on the reference", _set(cut=True), (4,), ("link", "estimate")),
-        Fault("link cut while landing", _set(cut=True), (4,), ("link", "estimate"), phase="land", after=0.3),
+        Fault("another client's mode", lambda flight: flight.line.ask(d.LAND), (3,), ("mode",)),
+        Fault("link cut at take-off", _set(cut=True), *lost, phase="take off", after=1.5),
+        Fault("link cut on the reference", _set(cut=True), *lost),
+        Fault("link cut while landing", _set(cut=True), *lost, phase="land", after=0.3),
         Fault("plans late", _stop_the_solver, (3,), ("solver",), predictive=True),
         Fault("battery low", None, (3,), ("battery",), ("reference=lemniscate", "limits.battery=0.85")),
     ]
     if px4 is not None:
-        out.append(Fault("PX4 killed", _kill_px4, (4,), ("link", "estimate")))
+        out.append(Fault("PX4 killed", lambda flight: os.kill(px4, signal.SIGKILL), *lost))
     return out
 
 

@@ -9,8 +9,6 @@ of `nsde fly` at default settings, each in a process of its own; faults are made
 Writes `table.json` with everything that was measured, and `table.md`.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os
@@ -21,7 +19,10 @@ import time
 from pathlib import Path
 from typing import Any
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "blind"))
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from study import markdown, options, write_json
 
 from benchmarks.px4.faults import Fault, Flight, faults, verdict
 from benchmarks.px4.line import Line
@@ -40,13 +41,7 @@ LONGEST = 900.0
 
 
 class Fly:
-    """One `nsde fly` in a process of its own.
-
-    Args:
-        folder: Where it writes.
-        words: Its settings.
-        port: On which it waits.
-    """
+    """One `nsde fly` in a process of its own: where it writes, its settings, and the port on which it waits."""
 
     def __init__(self, folder: Path, words: list[str], port: int) -> None:
         self.folder, self.phases, self.lines = folder, dict[str, float](), list[str]()
@@ -70,7 +65,6 @@ class Fly:
                 self.phases.setdefault(phase.partition(":")[0].strip(), time.monotonic())
 
     def wait(self) -> int:
-        """Its exit status."""
         try:
             return self.process.wait(LONGEST)
         except subprocess.TimeoutExpired:
@@ -88,48 +82,41 @@ class Fly:
 
     @property
     def report(self) -> dict[str, Any] | None:
-        """What it wrote of the flight."""
         file = self.folder / "flight.json"
         return json.loads(file.read_text())["flights"][-1] if file.is_file() else None
 
 
-def _flight(name: str, run: str, k: int, options: argparse.Namespace, line: Line) -> dict[str, Any]:
+def _flight(name: str, run: str, k: int, given: argparse.Namespace, line: Line) -> dict[str, Any]:
     controller = "pid" if run == "pid" else "mpc"
-    folder = options.out / "flights" / f"{k:02d}_{name}_{controller}"
-    fly = Fly(folder, [f"run={run}", f"system={options.system}", *REFERENCES[name]], options.port + INNER)
+    folder = given.out / "flights" / f"{k:02d}_{name}_{controller}"
+    fly = Fly(folder, [f"run={run}", f"system={given.system}", *REFERENCES[name]], given.port + INNER)
     status = fly.wait()
     found, disarmed = fly.report or {}, line.wait_until_disarmed(60.0)
     age, gap, solve = (found.get(n) or {} for n in ("state_age_ms", "setpoint_gap_ms", "solve_ms"))
     return {
-        "reference": name,
-        "controller": controller,
-        "status": status,
+        **{"reference": name, "controller": controller, "status": status},
         "tracked": found.get("tracked", False),
         "landed": found.get("landed", False) and disarmed,
-        "rmse_m": found.get("rmse_m"),
-        "position_error_max_m": found.get("position_error_max_m"),
+        **{key: found.get(key) for key in ("rmse_m", "position_error_max_m", "trouble")},
         "state_age_p50_ms": age.get("p50"),
         "setpoint_gap_p99.9_ms": gap.get("p99.9"),
         "solve_p99_ms": solve.get("p99"),
         "resets": found.get("estimate_resets", []),
-        "trouble": found.get("trouble"),
         "said": fly.lines[-3:],
     }
 
 
-def _faulty(fault: Fault, options: argparse.Namespace, line: Line) -> dict[str, Any]:
-    run = options.models[0] if fault.predictive or options.predictive else "pid"
-    folder = options.out / "faults" / fault.name.replace(" ", "_").replace("'", "")
+def _faulty(fault: Fault, given: argparse.Namespace, line: Line) -> dict[str, Any]:
+    run = given.models[0] if fault.predictive or given.predictive else "pid"
+    folder = given.out / "faults" / fault.name.replace(" ", "_").replace("'", "")
     line.cut = line.stale = False
-    fly = Fly(folder, [f"run={run}", f"system={options.system}", *fault.words], options.port + INNER)
-    made = fault.make is None
-    if fault.make is not None and fly.wait_for(fault.phase, fault.after):
-        fault.make(Flight(fly.process.pid, line, options.px4_pid))
-        made = True
+    fly = Fly(folder, [f"run={run}", f"system={given.system}", *fault.words], given.port + INNER)
+    made = fault.make is None or fly.wait_for(fault.phase, fault.after)
+    if fault.make is not None and made:
+        fault.make(Flight(fly.process.pid, line))
     status, flight = fly.wait(), fly.report
     begun = time.monotonic()
-    gone = fault.name == "PX4 killed"
-    disarmed = gone or line.wait_until_disarmed(60.0)
+    disarmed = fault.name == "PX4 killed" or line.wait_until_disarmed(60.0)
     took = time.monotonic() - begun
     line.cut = line.stale = False
     wrong = verdict(fault, status, flight, disarmed) if made else ["the fault could not be made"]
@@ -147,91 +134,65 @@ def _faulty(fault: Fault, options: argparse.Namespace, line: Line) -> dict[str, 
     }
 
 
-def _cell(value: float | None, factor: float = 1.0, digits: int = 1) -> str:
-    return "-" if value is None else f"{factor * value:.{digits}f}"
+def _cell(value: float | None, factor: float = 1.0) -> str:
+    return "-" if value is None else f"{factor * value:.1f}"
 
 
 def table(content: dict[str, Any]) -> str:
-    """The results as Markdown."""
-    lines = [f"PX4: {content['px4']}; {content['date']}; {content['system']}", ""]
-    if content["flights"]:
-        lines += [
-            "| reference | controller | flown and landed | RMSE [cm] | largest [cm] | age p50 [ms] | gap p99.9 [ms] |",
-            "|---|---|---|---|---|---|---|",
-        ]
-        for f in content["flights"]:
-            row = [
-                f["reference"],
-                f["controller"],
-                "yes" if f["tracked"] and f["landed"] and not f["status"] else f"no (exit {f['status']})",
-                _cell(f["rmse_m"], 100.0),
-                _cell(f["position_error_max_m"], 100.0),
-                _cell(f["state_age_p50_ms"]),
-                _cell(f["setpoint_gap_p99.9_ms"]),
-            ]
-            lines.append(f"| {' | '.join(row)} |")
-        lines.append("")
-    if content["faults"]:
-        lines += ["| fault | exit status | trouble | as documented |", "|---|---|---|---|"]
-        for f in content["faults"]:
-            trouble = "-" if f["trouble"] is None else f["trouble"]["text"].replace("|", "/")
-            good = "yes" if not f["wrong"] else "NO: " + "; ".join(f["wrong"])
-            lines.append(f"| {f['fault']} | {f['status']} | {trouble} | {good} |")
-        lines.append("")
-    return "\n".join(lines)
+    flights, faults = [], []
+    for f in content["flights"]:
+        good = f["tracked"] and f["landed"] and not f["status"]
+        errors = (_cell(f[name], 100.0) for name in ("rmse_m", "position_error_max_m"))
+        times = (_cell(f[name]) for name in ("state_age_p50_ms", "setpoint_gap_p99.9_ms"))
+        flown = "yes" if good else f"no (exit {f['status']})"
+        flights.append((f["reference"], f["controller"], flown, *errors, *times))
+    for f in content["faults"]:
+        trouble = "-" if f["trouble"] is None else f["trouble"]["text"].replace("|", "/")
+        good = "yes" if not f["wrong"] else "NO: " + "; ".join(f["wrong"])
+        faults.append((f["fault"], f["status"], trouble, good))
+    of_flights = ("reference", "controller", "flown and landed", "RMSE [cm]", "largest [cm]")
+    heads = (
+        (*of_flights, "age p50 [ms]", "gap p99.9 [ms]"),
+        ("fault", "exit status", "trouble", "as documented"),
+    )
+    tables = (
+        [*markdown(head, rows), ""] for head, rows in zip(heads, (flights, faults), strict=True) if rows
+    )
+    about = f"PX4: {content['px4']}; {content['date']}; {content['system']}"
+    return "\n".join([about, "", *(line for lines in tables for line in lines)])
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--out", type=Path, required=True, help="folder to write into")
+    parser = options(__doc__, "out")
     parser.add_argument("--system", default="quadrotor", help="machine that PX4 flies")
     parser.add_argument(
         "--models", nargs="*", default=[], help="run directories for the predictive controller"
     )
-    parser.add_argument(
-        "--flights", type=int, default=20, help="flights, over references and controllers in turn"
-    )
-    parser.add_argument("--references", nargs="*", default=list(REFERENCES), choices=list(REFERENCES))
+    parser.add_argument("--flights", type=int, default=20, help="over references and controllers in turn")
     parser.add_argument("--faults", action="store_true", help="make the faults too")
-    parser.add_argument(
-        "--predictive", action="store_true", help="make every fault while a predictive controller flies"
-    )
-    parser.add_argument("--only", nargs="*", default=[], help="names of the faults to make; none: all")
+    parser.add_argument("--predictive", action="store_true", help="a predictive controller flies every fault")
     parser.add_argument("--px4-pid", type=int, help="process id of PX4, to kill it in the end")
     parser.add_argument("--px4", default="not said", help="version of PX4 and simulator, for the table")
     parser.add_argument("--port", type=int, default=14540, help="port to which PX4 sends its offboard link")
-    options = parser.parse_args()
-    options.out = options.out.resolve()
-    options.out.mkdir(parents=True, exist_ok=True)
-    content: dict[str, Any] = {
-        "px4": options.px4,
-        "date": time.strftime("%Y-%m-%d"),
-        "system": options.system,
-        "flights": [],
-        "faults": [],
-    }
+    given = parser.parse_args()
+    given.out = given.out.resolve()
+    about = {"px4": given.px4, "date": time.strftime("%Y-%m-%d"), "system": given.system}
+    content: dict[str, Any] = {**about, "flights": [], "faults": []}
 
-    def write() -> None:
-        (options.out / "table.json").write_text(json.dumps(content, indent=1), encoding="utf-8")
-        (options.out / "table.md").write_text(table(content), encoding="utf-8")
+    def add(part: str, found: dict[str, Any]) -> None:
+        content[part].append(found)
+        write_json(given.out / "table.json", content)
+        (given.out / "table.md").write_text(table(content), encoding="utf-8")
+        print(json.dumps(found), flush=True)
 
-    with Line(options.port, options.port + INNER) as line:
-        cases = [(name, run) for run in ("pid", *options.models) for name in options.references]
-        for k in range(options.flights):
-            name, run = cases[k % len(cases)]
-            content["flights"].append(_flight(name, run, k, options, line))
-            write()
-            print(json.dumps(content["flights"][-1]), flush=True)
-        for fault in faults(options.px4_pid) if options.faults else ():
-            if ((fault.predictive or options.predictive) and not options.models) or (
-                options.only and fault.name not in options.only
-            ):
-                continue
-            content["faults"].append(_faulty(fault, options, line))
-            write()
-            print(json.dumps(content["faults"][-1]), flush=True)
+    with Line(given.port, given.port + INNER) as line:
+        cases = [(name, run) for run in ("pid", *given.models) for name in REFERENCES]
+        for k in range(given.flights):
+            add("flights", _flight(*cases[k % len(cases)], k, given, line))
+        for fault in faults(given.px4_pid) if given.faults else ():
+            possible = given.models or not (fault.predictive or given.predictive)
+            if possible:
+                add("faults", _faulty(fault, given, line))
     print(table(content))
 
 

@@ -36,18 +36,10 @@ def _frames(data: bytes) -> Iterator[bytes]:
 
 @final
 class Line:
-    """The line; a context manager.
+    """The line, between the port to which PX4 sends its offboard link and that on which `nsde fly` waits.
 
-    Args:
-        outer: Port to which PX4 sends its offboard link.
-        inner: Port on which `nsde fly` waits.
-
-    Attributes:
-        cut: Nothing passes.
-        stale: No states pass.
-        mode: PX4's mode, as its heartbeat says.
-        armed: Whether it is armed.
-        heard: When it was heard last [s].
+    Nothing passes while it is `cut`, and no states while it is `stale`; `mode`, `armed` and the time `heard` [s] are
+    those of PX4's last heartbeat.
     """
 
     def __init__(self, outer: int, inner: int) -> None:

@@ -1,14 +1,12 @@
 """Trainings by the command line, some at a time, one thread each; what is finished is used again."""
 
-from __future__ import annotations
-
 import logging
 import os
 import subprocess
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 
 log = logging.getLogger(__name__)
@@ -48,38 +46,24 @@ def train_all(jobs: Mapping[Path, Sequence[str]], *, at_once: int) -> dict[str, 
     processes: Processes = []
     lost: dict[str, str] = {}
     with ThreadPoolExecutor(at_once) as pool:
-        waiting: dict[Future[int], Path] = {
-            pool.submit(run, "train", folder, words, processes): folder for folder, words in missing.items()
-        }
-        done = 0
+        waiting = {pool.submit(run, "train", *job, processes): job[0] for job in missing.items()}
         try:
-            while waiting:
-                finished, _ = wait(waiting, return_when=FIRST_COMPLETED)
-                for future in finished:
-                    folder = waiting.pop(future)
-                    done += 1
-                    if future.result():
-                        lost[folder.name] = (
-                            f"training of {folder.name} failed: {_last_line(log_of(folder))} See {log_of(folder)}."
-                        )
-                        log.error("%s", lost[folder.name])
-                        continue
-                    spent = time.perf_counter() - started
-                    left = spent / done * len(waiting)
-                    print(
-                        f"trained {folder.name} ({done} of {len(missing)}, {spent:.0f} s, about {left:.0f} s left)",
-                        flush=True,
-                    )
+            for done, future in enumerate(as_completed(waiting), start=1):
+                name, output = waiting[future].name, log_of(waiting[future])
+                if future.result():
+                    text = output.read_text(encoding="utf-8", errors="replace") if output.is_file() else ""
+                    last = (text.strip().splitlines() or ["it left no output."])[-1]
+                    lost[name] = f"training of {name} failed: {last} See {output}."
+                    log.error("%s", lost[name])
+                    continue
+                spent = time.perf_counter() - started
+                left = spent / done * (len(missing) - done)
+                told = f"({done} of {len(missing)}, {spent:.0f} s, about {left:.0f} s left)"
+                print(f"trained {name} {told}", flush=True)
         except BaseException:
-            for future in waiting:
-                future.cancel()
+            pool.shutdown(wait=False, cancel_futures=True)
             for process in processes:
                 if process.poll() is None:
                     process.terminate()  # a training that is asked to stop keeps its checkpoint
             raise
     return lost
-
-
-def _last_line(path: Path) -> str:
-    lines = path.read_text(encoding="utf-8", errors="replace").strip().splitlines() if path.is_file() else []
-    return lines[-1] if lines else "it left no output."

@@ -71,27 +71,17 @@ def uncertainty_map(
     sigma_near, sigma_away = (
         float(model.h(torch.as_tensor(e).to(like))[:, _THETA_DOT].mean()) for e in (eta_near, eta_away)
     )
+    tells = f"eta tells held-out states from states in three times the training box, AUROC at least {_LEAST_AUROC}"
+    sizes = f"theta_dot: {sigma_away:.3g} against {sigma_near:.3g} rad/s per root second"
+    title = f"Distance η of a cartpole model trained on {data_name} (cart speed 0 on the left)"
     return ExperimentOutcome(
         title=f"Uncertainty of a cartpole model trained on {data_name}",
         source="The learned uncertainty is low where the training data lie and grows away from them.",
         checks=[
-            Check(
-                f"eta tells held-out states from states in three times the training box, AUROC at least {_LEAST_AUROC}",
-                f"{auroc:.3f}",
-                auroc >= _LEAST_AUROC,
-            ),
-            Check(
-                "the diffusion is larger away from the data",
-                f"theta_dot: {sigma_away:.3g} against {sigma_near:.3g} rad/s per root second",
-                sigma_away > sigma_near,
-            ),
+            Check(tells, f"{auroc:.3f}", auroc >= _LEAST_AUROC),
+            Check("the diffusion is larger away from the data", sizes, sigma_away > sigma_near),
         ],
-        figures={
-            "map": plots.distance_map(
-                slices,
-                title=f"Distance η of a cartpole model trained on {data_name} (cart speed 0 on the left)",
-            )
-        },
+        figures={"map": plots.distance_map(slices, title=title)},
         values={"auroc": auroc, "sigma_theta_dot": {"held_out": sigma_near, "away": sigma_away}},
     )
 
@@ -123,22 +113,22 @@ def state_evolution(
         truth_name="measured",
         columns=2,
     )
-    values: dict[str, dict[str, dict[str, float]]] = {}
-    checks = []
+    values: dict[str, dict[str, dict[str, float]]] = {kind: {} for kind in scores}
+    checks, groups = [], scores["sde"][0]["units"]
     for kind, results in scores.items():
-        own = values.setdefault(kind, {})
         for group in results[0]["units"] if results[0]["errors"] else ():
-            errors = [r["errors"]["model"][group] for r in results]
-            inside = [r["coverage"]["0.95"][group] for r in results]
-            for what, rows in (("error", errors), ("inside_95", inside)):
-                own[f"{what}_{group}"] = {h: float(np.mean([r[h] for r in rows])) for h in ("0.5", "1")}
+            for what, part, key in (("error", "errors", "model"), ("inside_95", "coverage", "0.95")):
+                rows = [r[part][key][group] for r in results]
+                values[kind][f"{what}_{group}"] = {
+                    h: float(np.mean([r[h] for r in rows])) for h in ("0.5", "1")
+                }
     for h in ("0.5", "1"):
-        pairs = {
-            g: (values["sde"][f"error_{g}"][h], values["ensemble"].get(f"error_{g}", {}).get(h, np.inf))
-            for g in scores["sde"][0]["units"]
+        of = {
+            kind: [made.get(f"error_{g}", {}).get(h, np.inf) for g in groups] for kind, made in values.items()
         }
+        pairs = dict(zip(groups, zip(of["sde"], of["ensemble"], strict=True), strict=True))
         checks.append(errs_less(h, "the ensemble", pairs, {}))
-    held = float(np.mean([values["sde"][f"inside_95_{g}"]["1"] for g in scores["sde"][0]["units"]]))
+    held = float(np.mean([values["sde"][f"inside_95_{g}"]["1"] for g in groups]))
     checks.append(
         Check("the 95 % interval of the SDE holds at least 90 % at 1 s", f"{held:.0%}", held >= 0.9)
     )

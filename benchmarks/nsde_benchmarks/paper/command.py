@@ -85,9 +85,8 @@ def run(config: DictConfig, job: Job) -> None:
     outcomes: dict[str, ExperimentOutcome] = {}
     failed: dict[str, str] = {}
     for name in names:
-        without = [
-            t for t in lost if t.rsplit("_seed", 1)[0] in figure_table.FIGURES[name].trainings(settings)
-        ]
+        trainings = figure_table.FIGURES[name].trainings(settings)
+        without = [t for t in lost if t.rsplit("_seed", 1)[0] in trainings]
         if without:
             failed[name] = lost[without[0]]
             continue

@@ -37,11 +37,15 @@ class Settings:
         """The run directories of each training name, one per seed."""
         return [[self.models / f"{name}_seed{s}" for s in range(self.seeds)] for name in names]
 
+    def models_of(self, *names: str) -> list[list[Model]]:
+        """The models of each training name, one per seed."""
+        from nsde_torch.models import load
+
+        return [[load(folder) for folder in folders] for folders in self.run_dirs(*names)]
+
 
 @dataclass(frozen=True)
 class Figure:
-    """One figure."""
-
     about: str
     # words of `nsde train` by name; the seed is added
     trainings: Callable[[Settings], Mapping[str, list[str]]]
@@ -54,6 +58,9 @@ _SPRING_SETS = {
 }
 
 
+_KINDS = ("sde", "ode", "ensemble")
+
+
 def _spring(name: str) -> Figure:
     region, bounds, words = _SPRING_SETS[name]
 
@@ -63,11 +70,8 @@ def _spring(name: str) -> Figure:
             base += [f"data.options.region={bounds}", "data.durations=[5,5,5,5,5,5]"]
         else:
             folder = settings.published / "mass_spring_damper"
-            base += [
-                "data=published",
-                f"data.path={folder / f'MSD_MeasHigh_{region}_5.pkl'}",
-                f"data.test_path={folder / 'MSD_TestData.pkl'}",
-            ]
+            base += ["data=published", f"data.path={folder / f'MSD_MeasHigh_{region}_5.pkl'}"]
+            base.append(f"data.test_path={folder / 'MSD_TestData.pkl'}")
         unknown = [*base, "system.declared=[]"]
         return {
             f"spring_{region}_sde": unknown,
@@ -78,28 +82,16 @@ def _spring(name: str) -> Figure:
         }
 
     def draw(settings: Settings) -> ExperimentOutcome:
-        from nsde_torch.models import load
-
         from .spring import state_evolution, together
 
-        def models(*kinds: str) -> list[list[Model]]:
-            names = settings.run_dirs(*(f"spring_{region}_{k}" for k in kinds))
-            return [[load(folder) for folder in folders] for folders in names]
+        def evolution(title: str, *kinds: str, of: str = "") -> ExperimentOutcome:
+            names = [f"spring_{region}_{of}{kind}" for kind in kinds]
+            models = dict(zip(_KINDS, settings.models_of(*names), strict=False))
+            return state_evolution(models, title=f"spring, {words}; {title}", seed=settings.seed)
 
-        sde, ode, ensemble = models("sde", "node", "ensemble")
-        physics_sde, physics_ode = models("physics_sde", "physics_node")
-        data = f"spring, {words}"
         return together(
-            state_evolution(
-                {"sde": sde, "ode": ode, "ensemble": ensemble},
-                title=f"{data}; the acceleration is unknown",
-                seed=settings.seed,
-            ),
-            state_evolution(
-                {"sde": physics_sde, "ode": physics_ode},
-                title=f"{data}; spring and damper are declared",
-                seed=settings.seed,
-            ),
+            evolution("the acceleration is unknown", "sde", "node", "ensemble"),
+            evolution("spring and damper are declared", "sde", "node", of="physics_"),
         )
 
     return Figure(f"Spring from outside the data, 8 s: SDE, ODE, ensemble ({words})", trainings, draw)
@@ -124,12 +116,12 @@ def _cartpole_map(policy: str) -> Figure:
     words = _CARTPOLE_SETS[policy][1]
 
     def draw(settings: Settings) -> ExperimentOutcome:
-        from nsde_torch.models import NeuralSDE, load
+        from nsde_torch.models import NeuralSDE
 
         from .cartpole import uncertainty_map
 
-        ((folder, *_),) = settings.run_dirs(name)
-        split, model = held_out(folder), load(folder)
+        ((folder, *_),), ((model, *_),) = settings.run_dirs(name), settings.models_of(name)
+        split = held_out(folder)
         assert isinstance(model, NeuralSDE)
         return uncertainty_map(model, split.train, split.test, data_name=words, seed=settings.seed)
 
@@ -141,23 +133,20 @@ def _cartpole_map(policy: str) -> Figure:
 
 
 def _cartpole_evolution() -> Figure:
-    def draw(settings: Settings) -> ExperimentOutcome:
-        from nsde_torch.models import load
+    names = {"sde": "cartpole_learned_sde", "ensemble": "cartpole_learned_ensemble"}
 
+    def draw(settings: Settings) -> ExperimentOutcome:
         from .cartpole import state_evolution
 
-        sde, ensemble = settings.run_dirs("cartpole_learned_sde", "cartpole_learned_ensemble")
-        return state_evolution(
-            {"sde": [load(f) for f in sde], "ensemble": [load(f) for f in ensemble]},
-            held_out(sde[0]).test,
-            seed=settings.seed,
-        )
+        models = dict(zip(names, settings.models_of(*names.values()), strict=True))
+        test = held_out(settings.run_dirs(names["sde"])[0][0]).test
+        return state_evolution(models, test, seed=settings.seed)
 
     return Figure(
         "Cartpole: state evolution of the SDE and of the ensemble on held-out episodes",
         lambda settings: {
-            "cartpole_learned_sde": _cartpole_words(settings, "learned"),
-            "cartpole_learned_ensemble": [*_cartpole_words(settings, "learned"), "model=ensemble"],
+            names["sde"]: _cartpole_words(settings, "learned"),
+            names["ensemble"]: [*_cartpole_words(settings, "learned"), "model=ensemble"],
         },
         draw,
     )
@@ -184,36 +173,30 @@ def _recorded() -> Figure:
     return Figure("Flight data: speed and Euler angles", lambda settings: {}, draw)
 
 
-def _hexacopter_words(settings: Settings, flight: int) -> list[str]:
-    base = ["system=hexacopter", f"data.test=[{flight}]"]
-    if settings.published is None:
-        return base
-    return [*base, "data=published", f"data.path={settings.published / 'hexacopter' / 'trajs.pkl'}"]
-
-
-def _flights(settings: Settings) -> tuple[int, ...]:
-    return (2,) if settings.fast else (0, 1, 2)
-
-
 def _identification() -> Figure:
     # Both are integrated alike well: the system's own method takes p + v dt for a position, which is 7 mm off after
     # 0.25 s, more than what the two differ by.
+    def flights(settings: Settings) -> tuple[int, ...]:
+        return (2,) if settings.fast else (0, 1, 2)
+
     def trainings(settings: Settings) -> dict[str, list[str]]:
+        path, of = settings.published, ["system=hexacopter"]
+        of += [] if path is None else ["data=published", f"data.path={path / 'hexacopter' / 'trajs.pkl'}"]
         return {
-            f"hexacopter_{kind}_flight{flight}": [*_hexacopter_words(settings, flight), *more]
-            for flight in _flights(settings)
+            f"hexacopter_{kind}_flight{flight}": [*of, f"data.test=[{flight}]", *more]
+            for flight in flights(settings)
             for kind, more in (("sde_heun", ["solver=heun"]), ("sysid", ["model=sysid"]))
         }
 
     def draw(settings: Settings) -> ExperimentOutcome:
-        from nsde_torch.models import load
-
         from .flights import against_identification
 
-        names = [
-            [f"hexacopter_{kind}_flight{k}" for k in _flights(settings)] for kind in ("sde_heun", "sysid")
-        ]
-        sde, sysid = ([f for folders in settings.run_dirs(*own) for f in folders] for own in names)
+        names = {
+            kind: [f"hexacopter_{of}_flight{k}" for k in flights(settings)]
+            for kind, of in (("sde", "sde_heun"), ("sysid", "sysid"))
+        }
+        models = {kind: [m for of in settings.models_of(*own) for m in of] for kind, own in names.items()}
+        folders = [f for of in settings.run_dirs(*names["sde"]) for f in of]
         data, note = "simulated flights", ""
         if settings.published is not None:
             data = "published flights"
@@ -221,13 +204,8 @@ def _identification() -> Figure:
                 "The inputs of the published flights see 0.2 s into the future (a centred moving average); the filter "
                 "of the SDE draws on commands up to 0.6 s ahead."
             )
-        return against_identification(
-            {"sde": [load(f) for f in sde], "sysid": [load(f) for f in sysid]},
-            [held_out(f).test for f in sde],
-            data_name=data,
-            note=note,
-            seed=settings.seed,
-        )
+        tests = [held_out(f).test for f in folders]
+        return against_identification(models, tests, data_name=data, note=note, seed=settings.seed)
 
     return Figure("Hexacopter: SDE against system ID on held-out flights", trainings, draw)
 

@@ -1,6 +1,7 @@
 """Figures 15 and 16 of the supplement: what the flights hold, and the neural SDE against system identification."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,12 +18,8 @@ from nsde_torch.systems import System
 from .outcome import Check, ExperimentOutcome, errs_less, prediction, rollout
 
 # Supplement D: 95 % of the magnitudes lie below the first, the largest is the second.
-_FIGURE_15 = {
-    "speed_m/s": (1.71, 2.7),
-    "roll_deg": (18.0, 23.0),
-    "pitch_deg": (13.0, 23.0),
-    "yaw_deg": (24.0, 80.0),
-}
+_FIGURE_15 = {"speed_m/s": (1.71, 2.7), "roll_deg": (18, 23), "pitch_deg": (13, 23), "yaw_deg": (24, 80)}
+Models = Mapping[str, Sequence[Model]]
 _SECONDS = (73.0, 66.0, 64.0)
 _TOLERANCE = 0.1
 _SHOWN_S = 2.0
@@ -59,12 +56,7 @@ def recorded(data: DataSet, system: System, *, data_name: str, note: str = "") -
 
 
 def against_identification(
-    models: Mapping[str, Sequence[Model]],
-    tests: Sequence[Sequence[Run]],
-    *,
-    data_name: str,
-    note: str,
-    seed: int,
+    models: Models, tests: Sequence[Sequence[Run]], *, data_name: str, note: str, seed: int
 ) -> ExperimentOutcome:
     """Neural SDE against least-squares system identification on held-out flights."""
     names = {"sde": "neural SDE", "sysid": "system ID"}
@@ -72,21 +64,17 @@ def against_identification(
         k: [evaluate(m, t, seed=seed) for m, t in zip(ms, tests, strict=True)] for k, ms in models.items()
     }
     groups = scores["sde"][0]["units"]
-    values: dict[str, dict[str, dict[str, float]]] = {
-        kind: {
-            g: {
-                f"{h:g}": float(np.mean([r["errors"]["model"][g][f"{h:g}"] for r in results]))
-                for h in results[0]["horizons_s"]
-            }
-            for g in groups
-        }
+    horizons = scores["sde"][0]["horizons_s"]
+
+    def mean(results: Sequence[Any], group: str, h: float) -> float:
+        return float(np.mean([r["errors"]["model"][group][f"{h:g}"] for r in results]))
+
+    values = {
+        kind: {g: {f"{h:g}": mean(results, g, h) for h in horizons} for g in groups}
         for kind, results in scores.items()
     }
     checks = []
-    for h in scores["sde"][0]["horizons_s"]:
-        if h < _FROM_S:
-            continue
-        key = f"{h:g}"
+    for key in (f"{h:g}" for h in horizons if h >= _FROM_S):
         pairs = {g: (values["sde"][g][key], values["sysid"][g][key]) for g in groups}
         checks.append(errs_less(key, "system ID", pairs, groups))
     return ExperimentOutcome(
@@ -99,25 +87,17 @@ def against_identification(
     )
 
 
-def _typical(windows: Windows, velocity: Sequence[int]) -> torch.Tensor:
-    """The window of median mean speed (1,): neither a hover nor the wildest moment."""
-    x, _, _ = windows.batch(torch.arange(len(windows)))
-    speed = x[..., velocity].norm(dim=-1).mean(1)
-    return speed.argsort()[len(speed) // 2][None]
-
-
 def _evolution(
-    models: Mapping[str, Sequence[Model]],
-    test: Sequence[Run],
-    names: Mapping[str, str],
-    data_name: str,
-    seed: int,
+    models: Models, test: Sequence[Run], names: Mapping[str, str], data_name: str, seed: int
 ) -> object:
     first = models["sde"][0]
     s, dt = first.system, first.spec.dt
     assert s.quaternion is not None
     windows = Windows(test, dt, round(_SHOWN_S / dt), dtype=first.clock_scale.dtype)
-    at = _typical(windows, [s.state_names.index(n) for n in ("v_x", "v_y", "v_z")])
+    every, _, _ = windows.batch(torch.arange(len(windows)))
+    velocity = [s.state_names.index(n) for n in ("v_x", "v_y", "v_z")]
+    speed = every[..., velocity].norm(dim=-1).mean(1)
+    at = speed.argsort()[len(speed) // 2][None]  # of median speed: neither a hover nor the wildest moment
     x, u, _ = windows.batch(at)
     before = inputs_before(s, windows, at)
     channels = [*range(6), *range(10, 13)]

@@ -75,24 +75,22 @@ def rollout(
             u_before=u_before,
         )
 
-    full = u.shape[1]
     try:
-        return sample(full)
+        return sample(u.shape[1])
     except NonFiniteError:
-        good, bad = 0, full  # the longest horizon that stays finite, by bisection
-        while bad - good > 1:
-            middle = (good + bad) // 2
-            try:
-                sample(middle)
-                good = middle
-            except NonFiniteError:
-                bad = middle
-        paths = x0.new_full((PARTICLES, len(x0), full + 1, x0.shape[1]), torch.nan)
-        if good:
-            paths[:, :, : good + 1] = sample(good)
-        else:
-            paths[:, :, 0] = x0
-        return paths
+        good, bad = 0, u.shape[1]  # the longest horizon that stays finite, by bisection
+    while bad - good > 1:
+        middle = (good + bad) // 2
+        try:
+            sample(middle)
+            good = middle
+        except NonFiniteError:
+            bad = middle
+    paths = x0.new_full((PARTICLES, len(x0), u.shape[1] + 1, x0.shape[1]), torch.nan)
+    paths[:, :, 0] = x0
+    if good:
+        paths[:, :, : good + 1] = sample(good)
+    return paths
 
 
 def prediction(

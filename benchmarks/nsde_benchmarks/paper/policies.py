@@ -14,6 +14,7 @@ from nsde_torch.plots.evaluation import policy_rewards
 from .outcome import Check, ExperimentOutcome
 
 _ENOUGH = 0.95
+_NUMBERS = ("reward", "reward_std_over_seeds", "score", "score_std_over_seeds", "seeds")
 _WORDS = {
     "nsde": "policies that learned in the neural SDE score at least {}",
     "ensemble": "those that learned in the ensemble do not",
@@ -33,19 +34,23 @@ _NAMES = {
 def learned_in(study: Path, kinds: Sequence[str], *, title: str, source: str) -> ExperimentOutcome:
     """Scores of policies by where they learned; DataError where the folder holds no study."""
     try:
-        rows = json.loads((study / "policies.json").read_text(encoding="utf-8"))["rows"]
+        rows = _report(study / "policies.json")["rows"]
         outcome = ExperimentOutcome(title=title, source=source)
         for data in dict.fromkeys(r["data"] for r in rows if r["environment"] in kinds):
             own = [r for r in rows if r["data"] == data and r["environment"] in kinds]
-            truth = [
-                r for r in rows if r["data"] == own[0]["truth"] and r["environment"] in ("truth", "limited")
-            ]
+            judges = [r for r in rows if r["environment"] in ("truth", "limited")]
+            truth = [r for r in judges if r["data"] == own[0]["truth"]]
             outcome.checks += [_check(r) for r in own if r["environment"] in _WORDS]
             outcome.checks += _with_physics({r["environment"]: r for r in own})
-            outcome.values[data] = {r["environment"]: _numbers(r) for r in (*truth, *own)}
+            outcome.values[data] = {r["environment"]: {k: r[k] for k in _NUMBERS} for r in (*truth, *own)}
             shown = [*(r for r in truth if r["environment"] == "truth"), *own]
             outcome.figures[data] = policy_rewards(
-                {_NAMES[r["environment"]]: [_curve(Path(f)) for f in r["policies"]] for r in shown},
+                {
+                    _NAMES[r["environment"]]: [
+                        _report(Path(f) / "policy.json")["curve"] for f in r["policies"]
+                    ]
+                    for r in shown
+                },
                 random=own[0]["random_reward"],
                 truth=own[0]["truth_reward"],
                 limited=next((r["reward"] for r in truth if r["environment"] == "limited"), None),
@@ -56,6 +61,10 @@ def learned_in(study: Path, kinds: Sequence[str], *, title: str, source: str) ->
             f"`policies`: {study} holds no finished study of policies ({error}); benchmarks/bench_policy.py makes one."
         ) from error
     return outcome
+
+
+def _report(path: Path) -> Any:
+    return json.loads(path.read_text(encoding="utf-8"))
 
 
 def _score(row: dict[str, Any]) -> str:
@@ -87,12 +96,3 @@ def _check(row: dict[str, Any]) -> Check:
     claim = f"{where}: {_WORDS[row['environment']].format(_ENOUGH)}"
     enough = row["score"] >= _ENOUGH
     return Check(claim, measured, enough if row["environment"] == "nsde" else not enough)
-
-
-def _numbers(row: dict[str, Any]) -> dict[str, Any]:
-    return {k: row[k] for k in ("reward", "reward_std_over_seeds", "score", "score_std_over_seeds", "seeds")}
-
-
-def _curve(folder: Path) -> list[dict[str, float]]:
-    curve: list[dict[str, float]] = json.loads((folder / "policy.json").read_text(encoding="utf-8"))["curve"]
-    return curve

@@ -28,9 +28,6 @@ def state_evolution(models: Mapping[str, Sequence[Model]], *, title: str, seed: 
     """Neural SDE, neural ODE and ensemble: `models[kind]` has one model per seed, `title` what they were trained on."""
     values: dict[str, dict[str, list[float]]] = {}
 
-    def rms(error: NDArray[np.float64]) -> float:
-        return float(np.sqrt((error**2).mean()))
-
     drawn = []
     names = {"sde": "neural SDE", "ode": "neural ODE", "ensemble": "Gaussian ensemble"}
     t: NDArray[np.float64] = np.zeros(0)
@@ -49,38 +46,27 @@ def state_evolution(models: Mapping[str, Sequence[Model]], *, title: str, seed: 
             error = (p.mean - truth) / size
             finite = np.isfinite(error).all(1)
             row["finite_s"].append(float(t[finite][-1]))
-            row["relative_rmse"].append(rms(error[finite]))
+            row["relative_rmse"].append(float(np.sqrt((error[finite] ** 2).mean())))
             if kind == "sde":
                 middle = (paths.double().quantile(0.5, dim=0).numpy() - truth) / size
-                row.setdefault("relative_rmse_of_median", []).append(rms(middle[finite]))
+                of_median = float(np.sqrt((middle[finite] ** 2).mean()))
+                row.setdefault("relative_rmse_of_median", []).append(of_median)
             if p.low is not None and p.high is not None:
                 inside = (p.low <= truth) & (truth <= p.high)
                 row["inside_95"].append(float(inside.mean()))
             if index == 0:
                 drawn.append(p)
-    figure = evolution(
-        t,
-        truth,
-        drawn,
-        names=("q", "q_dot"),
-        units=("m", "m/s"),
-        title=f"{title}\nfrom 0.15 m and -0.15 m/s, outside of the training data",
+    where = f"{title}\nfrom 0.15 m and -0.15 m/s, outside of the training data"
+    figure = evolution(t, truth, drawn, names=("q", "q_dot"), units=("m", "m/s"), title=where)
+    source = (
+        "From a start outside of the training data the neural SDE follows the true motion for 8 s, its interval "
+        "covers the truth, and it is more accurate than the neural ODE; the Gaussian ensemble diverges."
     )
-    return ExperimentOutcome(
-        title=title,
-        source=(
-            "From a start outside of the training data the neural SDE follows the true motion for 8 s, its interval "
-            "covers the truth, and it is more accurate than the neural ODE; the Gaussian ensemble diverges."
-        ),
-        checks=_checks(values),
-        figures={"evolution": figure},
-        values={"of the root mean square of the truth, and shares of 8 s": values},
-        notes=_notes(values),
-    )
+    found = {"of the root mean square of the truth, and shares of 8 s": values}
+    return ExperimentOutcome(title, source, _checks(values), {"evolution": figure}, found, _notes(values))
 
 
 def together(*outcomes: ExperimentOutcome) -> ExperimentOutcome:
-    """Several outcomes on one page."""
     first = outcomes[0]
     joined = ExperimentOutcome(title=first.title.split(";")[0], source=first.source)
     for outcome in outcomes:
@@ -95,31 +81,23 @@ def together(*outcomes: ExperimentOutcome) -> ExperimentOutcome:
 def _checks(values: Mapping[str, Mapping[str, Sequence[float]]]) -> list[Check]:
     inside = float(np.mean(values["sde"]["inside_95"]))
     sde, ode = (float(np.mean(values[k]["relative_rmse"])) for k in ("sde", "ode"))
+    errors = {kind: _spread(values[kind]["relative_rmse"]) for kind in values}
+    covers = "the truth lies in the 95 % interval of the SDE for at least 90 % of 8 s"
     checks = [
+        Check(covers, f"{inside:.1%}", inside >= 0.9),
         Check(
-            "the truth lies in the 95 % interval of the SDE for at least 90 % of 8 s",
-            f"{inside:.1%}",
-            inside >= 0.9,
-        ),
-        Check(
-            "the SDE errs at most as much as the ODE",
-            f"{_spread(values['sde']['relative_rmse'])} against {_spread(values['ode']['relative_rmse'])}",
-            sde <= ode,
+            "the SDE errs at most as much as the ODE", f"{errors['sde']} against {errors['ode']}", sde <= ode
         ),
     ]
     if "ensemble" in values:
         ensemble = values["ensemble"]
         lost = min(ensemble["finite_s"]) < SECONDS - 1e-6
         error = float(np.mean(ensemble["relative_rmse"]))
-        checks.append(
-            Check(
-                "the ensemble diverges or errs at least 3 times as much as the SDE",
-                f"leaves the finite numbers after {min(ensemble['finite_s']):.1f} s"
-                if lost
-                else f"{_spread(ensemble['relative_rmse'])}, {_times(error / sde)}",
-                lost or error >= 3 * sde,
-            )
-        )
+        claim = "the ensemble diverges or errs at least 3 times as much as the SDE"
+        told = f"{errors['ensemble']}, {_times(error / sde)}"
+        if lost:
+            told = f"leaves the finite numbers after {min(ensemble['finite_s']):.1f} s"
+        checks.append(Check(claim, told, lost or error >= 3 * sde))
     return checks
 
 

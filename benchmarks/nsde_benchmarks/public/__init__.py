@@ -15,8 +15,7 @@ if TYPE_CHECKING:
         PublishedRow,
         Trace,
     )
-    from nsde_benchmarks.public.registry import BENCHMARKS
-    from nsde_benchmarks.public.running import run_benchmark
+    from nsde_benchmarks.public.running import BENCHMARKS, run_benchmark
 
 __all__ = [
     "BENCHMARKS",

@@ -7,10 +7,8 @@ one after another by output error: one is taken where the simulation of recordin
 by more than `GAIN`, the best first. All training recordings then give the values.
 """
 
-from __future__ import annotations
-
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, final
 
@@ -27,9 +25,11 @@ from .output_error import Stretches, machine, output_error, simulated, times, wi
 from .servo import STEP, ServoPendulum, swing
 
 HOME = "data/feetech/STS_3250"
+REPOSITORY = "kscalelabs/sysid"
 COMMIT = "140d9c5"
 MODELS = ("m1", "m2", "m3", "m4", "m5", "m6")
 LOGS = {"training": 462, "validation": 353}
+PARTS = ("training", "validation", "validation_whole")
 ROWS = 621  # of the shortest recording, to which the set cuts all of them
 DUTY_PER_GAIN = 0.16383  # duty cycle per radian and unit of the gain, as the set measured it
 VOLTS = 15.0  # what its recordings state, and its models were fitted with
@@ -50,17 +50,16 @@ CANDIDATES: dict[str, dict[str, float]] = {
 }
 """Terms that are tried, and first values."""
 _FIRST = {"stall_torque": 10.0, "speed_constant": 0.2}
+Logs = Sequence[Mapping[str, Any]]
 _TYPICAL = 0.03  # error [rad]
 _SCORES = (0.0329, 0.0328, 0.0307, 0.0304, 0.0303, 0.0299)
 
 
 @final
 class Bam(PublicBenchmark):
-    """See the module."""
-
     name = "bam"
     title = "BAM: a position-controlled servo that swings a pendulum"
-    repository = "kscalelabs/sysid"
+    repository = REPOSITORY
     files = (
         f"{HOME}/processed/*.json",
         f"{HOME}/processed/validation/*.json",
@@ -72,14 +71,10 @@ class Bam(PublicBenchmark):
         "samples (3.1 s), as the published scores are. Then the same of the recordings in validation/, and over the "
         "whole of these."
     )
-    metrics = tuple(
-        BenchmarkMetric(part, "mrad", digits=1) for part in ("training", "validation", "validation_whole")
-    )
+    metrics = tuple(BenchmarkMetric(part, "mrad", digits=1) for part in PARTS)
     published = tuple(
-        PublishedRow(
-            f"{model.upper()}, as published", {"training": 1e3 * score}, f"kscalelabs/sysid, {HOME}/README.md"
-        )
-        for model, score in zip(MODELS, _SCORES, strict=True)
+        PublishedRow(f"{m.upper()}, as published", {"training": 1e3 * v}, f"{REPOSITORY}, {HOME}/README.md")
+        for m, v in zip(MODELS, _SCORES, strict=True)
     )
     minutes = 7
 
@@ -125,16 +120,11 @@ class Bam(PublicBenchmark):
         rungs = ladder(tried, CANDIDATES, first=_FIRST, error="held_out", gain=GAIN)
         taken = tuple(rungs[-1]["effects"])
         rows: dict[str, dict[str, float]] = {}
-        parts = {
-            "training": (training, ROWS),
-            "validation": (validation, ROWS),
-            "validation_whole": (validation, None),
-        }
+        parts = dict(zip(PARTS, ((training, ROWS), (validation, ROWS), (validation, None)), strict=True))
         for model, path in zip(MODELS, paths[-len(MODELS) :], strict=True):
             p = _parameters(path)
             rows[f"{model.upper()}, published values, simulated here"] = {
-                key: 1e3 * _mean([swing(p, x[:, 0], u, VOLTS) - x[..., 0] for x, u in _batches(part, count)])
-                for key, (part, count) in parts.items()
+                key: 1e3 * _mean(_batches(part, count), _swung(p)) for key, (part, count) in parts.items()
             }
         for made in (rungs[0], rungs[-1]):
             effects = tuple(made["effects"])
@@ -147,6 +137,7 @@ class Bam(PublicBenchmark):
             rows[f"ours, {name}"] = {
                 key: 1e3 * _error(effects, last, part, count) for key, (part, count) in parts.items()
             }
+        errors = [{"effects": m["effects"], "mrad": 1e3 * m["held_out"]} for m in rungs]
         return BenchmarkOutcome(
             rows,
             taken,
@@ -157,10 +148,7 @@ class Bam(PublicBenchmark):
                 f"({named['verdict']}): {', '.join(named['named']) or 'nothing'}.",
             ],
             _traces(taken, last, validation),
-            {
-                "diagnosis": named,
-                "held_out": [{"effects": m["effects"], "mrad": 1e3 * m["held_out"]} for m in rungs],
-            },
+            {"diagnosis": named, "held_out": errors},
         )
 
 
@@ -171,9 +159,7 @@ def _read(path: Path) -> dict[str, Any]:
         rows = log["entries"]
         long_enough(len(rows), ROWS, path)
         x = np.array([[row["position"], row["speed"]] for row in rows], dtype=np.float64)
-        moving = np.array(
-            [[row["goal_position"], row["torque_enable"]] for row in rows[:-1]], dtype=np.float64
-        )
+        moving = np.array([[r["goal_position"], r["torque_enable"]] for r in rows[:-1]], dtype=np.float64)
         same = [float(log["kp"]) * DUTY_PER_GAIN, float(log["mass"]), float(log["length"])]
         step, kind = float(log["dt"]), str(log["trajectory"])
     except (ValueError, KeyError, TypeError) as error:
@@ -189,7 +175,7 @@ def _read(path: Path) -> dict[str, Any]:
     return {"x": x, "u": u, "kp": int(log["kp"]), "kind": kind}
 
 
-def _diagnosed(logs: Sequence[Mapping[str, Any]], work: Work) -> dict[str, Any]:
+def _diagnosed(logs: Logs, work: Work) -> dict[str, Any]:
     """What a diagnosis finds missing in the declared physics."""
     step = ROWS_OF_A_STEP * STEP
     runs = []
@@ -197,14 +183,12 @@ def _diagnosed(logs: Sequence[Mapping[str, Any]], work: Work) -> dict[str, Any]:
         x, u = log["x"][: ROWS - 1 : ROWS_OF_A_STEP], log["u"][: ROWS - 1 : ROWS_OF_A_STEP]
         runs.append(RawRun(f"recording {k}", times(len(x), step), x, u))
     seen = diagnosed(runs, system=ServoPendulum, parameters=_FIRST, say=work.say)
-    values = {
-        name: entry for name, entry in seen["parameters"].items() if name.split(".")[0] in seen["added"]
-    }
-    return {
-        "verdict": seen["verdict"],
-        "named": [f"{name} {entry['value']:.4g} {entry['unit']}" for name, entry in values.items()]
-        or list(seen["added"]),
-    }
+    named = [
+        f"{name} {entry['value']:.4g} {entry['unit']}"
+        for name, entry in seen["parameters"].items()
+        if name.split(".")[0] in seen["added"]
+    ]
+    return {"verdict": seen["verdict"], "named": named or list(seen["added"])}
 
 
 def _parameters(path: Path) -> dict[str, float]:
@@ -222,20 +206,23 @@ def _parameters(path: Path) -> dict[str, float]:
     return p
 
 
-def _batches(logs: Sequence[Mapping[str, Any]], count: int | None) -> list[tuple[Array, Array]]:
+def _batches(logs: Logs, count: int | None) -> list[tuple[Array, Array]]:
     """States and inputs of recordings of like length, the first `count` rows of each."""
     lengths = sorted({len(log["x"]) for log in logs}) if count is None else [count]
     out = []
-    for length in lengths:
-        like = [log for log in logs if count is not None or len(log["x"]) == length]
-        x, u = ([log["x"][:length] for log in like], [log["u"][: length - 1] for log in like])
-        out.append((np.stack(x), np.stack(u)))
+    for n in lengths:
+        like = [log for log in logs if count is not None or len(log["x"]) == n]
+        out.append((np.stack([log["x"][:n] for log in like]), np.stack([log["u"][: n - 1] for log in like])))
     return out
 
 
-def _mean(errors: Sequence[Array]) -> float:
-    """Mean over recordings of the mean absolute error of each [rad]."""
-    return float(np.concatenate([np.abs(error).mean(1) for error in errors]).mean())
+def _mean(batches: Sequence[tuple[Array, Array]], path: Callable[[Array, Array], Array]) -> float:
+    """Mean over recordings of the mean absolute error of each simulated angle [rad]."""
+    return float(np.concatenate([np.abs(path(x, u) - x[..., 0]).mean(1) for x, u in batches]).mean())
+
+
+def _swung(p: Mapping[str, float]) -> Callable[[Array, Array], Array]:
+    return lambda x, u: swing(p, x[:, 0], u, VOLTS)
 
 
 def _machine(effects: tuple[str, ...], values: Mapping[str, Any]) -> Any:
@@ -244,11 +231,7 @@ def _machine(effects: tuple[str, ...], values: Mapping[str, Any]) -> Any:
 
 
 def _fitted(
-    effects: tuple[str, ...],
-    first: Mapping[str, Any],
-    logs: Sequence[Mapping[str, Any]],
-    iterations: int,
-    work: Work,
+    effects: tuple[str, ...], first: Mapping[str, Any], logs: Logs, iterations: int, work: Work
 ) -> dict[str, Any]:
     """Values whose simulations have the smallest mean absolute error of the angle."""
     ((x, u),) = _batches(logs, ROWS)
@@ -269,17 +252,15 @@ def _fitted(
 def _error(
     effects: tuple[str, ...],
     values: Mapping[str, Any],
-    logs: Sequence[Mapping[str, Any]],
+    logs: Logs,
     count: int | None = ROWS,
 ) -> float:
     """Mean absolute error of simulated angles [rad]."""
-    system, batches = _machine(effects, values), _batches(logs, count)
-    return _mean([simulated(system, x[:, 0], u, dt=STEP)[..., 0] - x[..., 0] for x, u in batches])
+    system = _machine(effects, values)
+    return _mean(_batches(logs, count), lambda x, u: simulated(system, x[:, 0], u, dt=STEP)[..., 0])
 
 
-def _traces(
-    effects: tuple[str, ...], values: Mapping[str, Any], logs: Sequence[Mapping[str, Any]]
-) -> list[Trace]:
+def _traces(effects: tuple[str, ...], values: Mapping[str, Any], logs: Logs) -> list[Trace]:
     """One recording of each trajectory, the first one of the middle gain."""
     out = []
     for kind in sorted({log["kind"] for log in logs}):

@@ -3,8 +3,6 @@
 No data and no code of a set is in this package; its files are fetched by the user, from the repository that is named.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -61,27 +59,16 @@ class BenchmarkOutcome:
 
 
 class PublicBenchmark(ABC):
-    """One set.
+    """One set."""
 
-    Attributes:
-        name: What it is called on the command line.
-        title: The machine, in a few words.
-        repository: `owner/name` of the public repository with the files.
-        files: What of it is needed, relative to the folder that the user names.
-        protocol: Split and score, in one or two sentences.
-        metrics: The numbers of the protocol.
-        published: Rows of others.
-        minutes: About how long it takes on one core.
-    """
-
-    name: ClassVar[str]
-    title: ClassVar[str]
-    repository: ClassVar[str]
-    files: ClassVar[tuple[str, ...]]
-    protocol: ClassVar[str]
+    name: ClassVar[str]  # what it is called on the command line
+    title: ClassVar[str]  # the machine, in a few words
+    repository: ClassVar[str]  # `owner/name` of the public repository with the files
+    files: ClassVar[tuple[str, ...]]  # what of it is needed, relative to the folder that the user names
+    protocol: ClassVar[str]  # split and score, in one or two sentences
     metrics: ClassVar[tuple[BenchmarkMetric, ...]]
     published: ClassVar[tuple[PublishedRow, ...]]
-    minutes: ClassVar[float]
+    minutes: ClassVar[float]  # about how long it takes on one core
 
     def paths(self, folder: Path) -> list[Path]:
         """The files of the set below a folder; DataError where one is missing, or is not what it should be."""
@@ -89,11 +76,4 @@ class PublicBenchmark(ABC):
 
     @abstractmethod
     def run(self, paths: Sequence[Path], work: Work) -> BenchmarkOutcome:
-        """Read, identify, simulate and score.
-
-        Args:
-            paths: What `paths` returned.
-
-        Raises:
-            DataError: a file is damaged, or of another set.
-        """
+        """Read `paths`, identify, simulate and score; DataError where a file is damaged, or of another set."""

@@ -7,9 +7,8 @@ and two tests without noise. Declared is the linear oscillator. Then the catalog
 equal, and the law with free weights are fitted by output error on the mean of the periods.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, final
 
@@ -22,7 +21,7 @@ from nsde_torch.systems import Defaults, ErrorGroup, OneDegreeOfFreedom, Residua
 
 from .benchmark import BenchmarkMetric, BenchmarkOutcome, PublicBenchmark, PublishedRow, Trace
 from .files import Work, long_enough, matrices
-from .output_error import machine, output_error, rms, simulated, times, windows, with_units
+from .output_error import kept_array, machine, output_error, rms, simulated, times, windows, with_units
 
 STEP = 1.0 / 750.0  # [s]
 FINER = 2  # steps of the integrator in a sample: 34 a period at resonance
@@ -39,9 +38,7 @@ FIRST: dict[str, dict[str, float]] = {
     "": {"input_gain": 0.5, "linear_spring.stiffness": 4e4, "viscous_friction.damping": 10.0},
     HYSTERESIS: {"hysteresis.size": 5.0, "hysteresis.reach": 1e-3},
     FREE_WEIGHTS: {
-        "free_hysteresis.stiffness": 1e4,
-        "free_hysteresis.towards": 100.0,
-        "free_hysteresis.away": 100.0,
+        f"free_hysteresis.{k}": v for k, v in {"stiffness": 1e4, "towards": 100.0, "away": 100.0}.items()
     },
 }
 """First values of the linear oscillator and of each law."""
@@ -110,8 +107,6 @@ class Oscillator(OneDegreeOfFreedom):
 
 @final
 class BoucWen(PublicBenchmark):
-    """See the module."""
-
     name = "boucwen"
     title = "Bouc-Wen: a mass on a spring with hysteresis (simulated set)"
     repository = "JanHHoekstra/Model-Augmentation-Public"
@@ -166,30 +161,26 @@ class BoucWen(PublicBenchmark):
         rows: dict[str, dict[str, float]] = {}
         left: dict[str, float] = {}
         for name, effects in LADDER.items():
-
-            def fitted(
-                effects: tuple[str, ...] = effects, first: Mapping[str, Any] = values, name: str = name
-            ) -> dict[str, Any]:
-                return _fitted(effects, first, u, y, name, work)
-
+            fitted = partial(_fitted, effects, values, u, y, name, work)
             made = work.stage(_key("model", name), fitted)
             model, left[name] = made["values"], UNIT * made["left"]
             if not effects:
                 # hysteresis carries half of what the linear spring was fitted to
                 values = {**model, "linear_spring.stiffness": 0.5 * model["linear_spring.stiffness"]}
+            simulate = partial(_simulated, effects, model)
             paths_of = {
-                test: _kept(work, _key(test, name), effects, model, force, test)
+                test: kept_array(
+                    work, _key(test, name), partial(simulate, force, periodic=test == "multisine")
+                )
                 for test, (force, _) in tests.items()
             }
             rows[f"ours, {name}"] = {test: UNIT * rms(paths_of[test] - tests[test][1]) for test in tests}
+        told = [f"{name} {value:.3f}" for name, value in left.items()]
         return BenchmarkOutcome(
             rows,
             _machine(effects, model).effect_names[2:],
             with_units(_machine(effects, model), model),
-            [
-                "Left by the stretches of the fit, mean of four noisy periods [10 um]: "
-                f"{', '.join(f'{name} {value:.3f}' for name, value in left.items())}."
-            ],
+            [f"Left by the stretches of the fit, mean of four noisy periods [10 um]: {', '.join(told)}."],
             [_trace(test, y, paths_of[test]) for test, (_, y) in tests.items()],
         )
 
@@ -205,18 +196,6 @@ def _trace(test: str, measured: Array, path: Array) -> Trace:
 
 def _key(*words: str) -> str:
     return "_".join(words).replace(", ", "_").replace(" + ", "_").replace(" ", "_")
-
-
-def _kept(
-    work: Work, key: str, effects: tuple[str, ...], values: Mapping[str, Any], force: Array, test: str
-) -> Array:
-    """The simulation of a test, kept as a stage."""
-
-    def simulate() -> dict[str, Any]:
-        work.say(f"simulating {key.replace('_', ' ')}", 0, 1)
-        return {"y": _simulated(effects, values, force, periodic=test == "multisine").tolist()}
-
-    return np.array(work.stage(f"simulation_{key}", simulate)["y"])
 
 
 def _machine(effects: tuple[str, ...], values: Mapping[str, Any]) -> Any:

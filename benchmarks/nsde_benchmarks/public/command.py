@@ -70,11 +70,9 @@ COMMAND = BenchmarkCommand(
 
 
 def run(config: DictConfig, job: Job) -> None:
-    """Run one set."""
     from nsde_torch.progress import Stages
 
-    from .registry import benchmark_class
-    from .running import PICTURE, RESULT, run_benchmark, table
+    from .running import PICTURE, RESULT, benchmark_class, run_benchmark, table
 
     benchmark = benchmark_class(config.name)
     print(

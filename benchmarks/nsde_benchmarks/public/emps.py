@@ -7,8 +7,6 @@ friction; dry friction and offset are to be found. The model is identified on th
 whole of the second from its first position at rest, with the measured force alone.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, final
@@ -26,13 +24,15 @@ from nsde_torch.systems.options import system_options
 from .benchmark import BenchmarkMetric, BenchmarkOutcome, PublicBenchmark, PublishedRow, Trace
 from .files import Work, long_enough, matrices
 from .named import diagnosed, words_of
-from .output_error import output_error, simulated, windows
+from .output_error import kept_array, output_error, rms, simulated, windows
 
 RATE_HZ = 1000.0
 ROWS = 5  # of the log to one of what is diagnosed
 SKIPPED = 20  # first samples of the test, which are not scored
 WINDOW = 500
 LEAST = 2000
+SOURCE = "forgi86/sysid-neural-continuous, paper"
+ABOVE = "published as above 0.99"
 
 
 @final
@@ -61,8 +61,6 @@ class PositioningDrive(OneDegreeOfFreedom):
 
 @final
 class Emps(PublicBenchmark):
-    """See the module."""
-
     name = "emps"
     title = "electro-mechanical positioning system: a drive with dry friction"
     repository = "forgi86/sysid-neural-continuous"
@@ -76,23 +74,11 @@ class Emps(PublicBenchmark):
         BenchmarkMetric("rmse", "mm", digits=2),
     )
     published = (
-        PublishedRow(
-            "neural state space, truncated simulation error",
-            {"r2": 0.99},
-            "forgi86/sysid-neural-continuous, paper, section on EMPS",
-            "published as above 0.99",
+        *(
+            PublishedRow(f"neural state space, {how}", {"r2": 0.99}, f"{SOURCE}, section on EMPS", ABOVE)
+            for how in ("truncated simulation error", "soft-constrained integration")
         ),
-        PublishedRow(
-            "neural state space, soft-constrained integration",
-            {"r2": 0.99},
-            "forgi86/sysid-neural-continuous, paper, section on EMPS",
-            "published as above 0.99",
-        ),
-        PublishedRow(
-            "linear models",
-            {"r2": 0.5},
-            "forgi86/sysid-neural-continuous, paper, of Janot, Gautier and Brunot (2019)",
-        ),
+        PublishedRow("linear models", {"r2": 0.5}, f"{SOURCE}, of Janot, Gautier and Brunot (2019)"),
     )
     minutes = 6
 
@@ -102,41 +88,32 @@ class Emps(PublicBenchmark):
         log = filtered_log(t, q, force, step=ROWS / RATE_HZ)
         first = work.stage("diagnosis", lambda: diagnosed([log], system=PositioningDrive, say=work.say))
         machine = system_options(PositioningDrive, effects=first["effects"], parameters=first["values"])
-        weights = np.array([1e4, 0.0])
 
         def fitted() -> dict[str, Any]:
             system = machine.make().double()
-            data = windows(
-                [np.stack((q, _filtered(q)[1]), 1)], [force[:, None]], dt=1 / RATE_HZ, length=WINDOW
-            )
-            estimate = output_error(
-                system,
-                data,
-                weights=weights,
-                free=(0, 1),
-                iterations=8,
-                stage="fitting to rollouts",
-                say=work.say,
-            )
+            x = np.stack((q, _filtered(q)[1]), 1)
+            data = windows([x], [force[:, None]], dt=1 / RATE_HZ, length=WINDOW)
+            how: dict[str, Any] = {"weights": np.array([1e4, 0.0]), "free": (0, 1), "iterations": 8}
+            estimate = output_error(system, data, stage="fitting to rollouts", say=work.say, **how)
             return {"values": estimate.values}
 
         second = work.stage("output_error", fitted)
 
-        def of(values: Mapping[str, Any], name: str) -> dict[str, Any]:
-            def simulate() -> dict[str, Any]:
-                work.say(f"simulating the test run, {name}", 0, 1)
+        def of(values: Mapping[str, Any], name: str) -> Array:
+            def simulate() -> Array:
                 system = system_options(machine, parameters=values).make().double()
                 start = np.array([[q_test[0], 0.0]])
-                path = simulated(system, start, force_test[None, :-1, None], dt=1 / RATE_HZ)
-                return {"q": path[0, :, 0].tolist()}
+                return simulated(system, start, force_test[None, :-1, None], dt=1 / RATE_HZ)[0, :, 0]
 
-            return work.stage(f"simulation_{name}", simulate)
+            return kept_array(work, name, simulate)
 
-        paths_of = {
-            "diagnosis": np.array(of(first["values"], "diagnosis")["q"]),
-            "output error": np.array(of(second["values"], "output_error")["q"]),
-        }
-        rows = {f"ours, {name}": _scores(q_test, path) for name, path in paths_of.items()}
+        made = {"diagnosis": first, "output error": second}
+        paths_of = {name: of(one["values"], name.replace(" ", "_")) for name, one in made.items()}
+        rows = {}
+        for name, path in paths_of.items():
+            error, spread = (path - q_test)[SKIPPED:], (q_test - q_test.mean())[SKIPPED:]
+            r2 = 1.0 - float((error**2).sum()) / float((spread**2).sum())
+            rows[f"ours, {name}"] = {"r2": r2, "rmse": 1e3 * rms(error)}
         values = second["values"]
         return BenchmarkOutcome(
             rows,
@@ -149,7 +126,6 @@ class Emps(PublicBenchmark):
 
 
 def _read(path: Path) -> tuple[Array, Array, Array]:
-    """Time, position and force of a file."""
     held = matrices(path, ("t", "qm", "vir", "gtau"), what="EMPS")
     t, q, force = held["t"], held["qm"], held["vir"] * held["gtau"][0]
     if not len(t) == len(q) == len(force):
@@ -176,9 +152,3 @@ def filtered_log(t: Array, q: Array, force: Array, *, step: float) -> RawRun:
     rows = np.arange(50, len(t) - 50, width)
     mean = np.array([force[k : k + width].mean() for k in rows])
     return RawRun("emps", t[rows], np.stack((smooth[rows], speed[rows]), 1), mean[:, None])
-
-
-def _scores(measured: Array, path: Array) -> dict[str, float]:
-    error = (path - measured)[SKIPPED:]
-    spread = float(((measured - measured.mean()) ** 2)[SKIPPED:].sum())
-    return {"r2": 1.0 - float((error**2).sum()) / spread, "rmse": 1e3 * float(np.sqrt((error**2).mean()))}

@@ -1,7 +1,5 @@
 """Files of public sets: found below the folder that the user names, and read with errors that say what to do."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import zlib
@@ -19,13 +17,9 @@ Say = Callable[[str, int, int], None]
 
 
 class Work:
-    """Where a run keeps its stages.
+    """Where a run keeps its stages: in `stages/` of its folder; those of another key are refused.
 
-    Args:
-        folder: Folder of the run; stages are kept in `stages/` within.
-        key: What the results depend on; stages of another key are refused.
-        say: Told stage, number done and number in all.
-        tell: Told sentences.
+    `say` is told stage, number done and number in all, `tell` sentences.
     """
 
     def __init__(self, folder: Path, key: str, *, say: Say, tell: Callable[[str], None]) -> None:
@@ -72,25 +66,24 @@ def found(folder: Path, wanted: Sequence[str], *, repository: str) -> list[Path]
         raise DataError(f"`data.path={folder}`: no such folder. Clone {repository} and name the checkout.")
     out = []
     for name in wanted:
-        path = folder / name
+        path, last = folder / name, Path(name).name
         if not path.is_file():
-            same = sorted(folder.rglob(Path(name).name))
+            same = sorted(folder.rglob(last))
             if not same:
                 raise DataError(
-                    f"`data.path={folder}` holds no {Path(name).name}. Name a checkout of {repository}, where it is "
-                    f"{name}."
+                    f"`data.path={folder}` holds no {last}. Name a checkout of {repository}, where it is {name}."
                 )
             if len(same) > 1:
                 raise DataError(
-                    f"`data.path={folder}` holds {Path(name).name} {len(same)} times, none of them at {name}. "
+                    f"`data.path={folder}` holds {last} {len(same)} times, none of them at {name}. "
                     "Name the folder of one."
                 )
             path = same[0]
         with path.open("rb") as file:
-            head = file.read(64)
-        if not head:
+            start = file.read(64)
+        if not start:
             raise DataError(f"{path} is empty. Fetch it from {repository} again.")
-        if head.startswith(_POINTER):
+        if start.startswith(_POINTER):
             raise DataError(
                 f"{path} is a pointer of Git LFS and holds no data. Run `git lfs pull` in the checkout of {repository}."
             )
@@ -131,8 +124,7 @@ def table(path: Path, names: Sequence[str], *, what: str) -> dict[str, Array]:
         )
     at = [header.index(name) for name in names]
     rows = np.empty((len(lines) - 1, len(names)))
-    for k, line in enumerate(lines[1:]):
-        cells = line.split(",")
+    for k, cells in enumerate(line.split(",") for line in lines[1:]):
         if len(cells) != len(header):
             raise DataError(
                 f"{path}:{k + 2} has {len(cells)} cells and not {len(header)}: the file is cut off. Fetch it again."
@@ -141,7 +133,7 @@ def table(path: Path, names: Sequence[str], *, what: str) -> dict[str, Array]:
             rows[k] = [float(cells[i]) if cells[i].strip() else np.nan for i in at]
         except ValueError:
             raise DataError(f"{path}:{k + 2} holds a cell that is no number. Fetch the file again.") from None
-    return {name: rows[:, k] for k, name in enumerate(names)}
+    return dict(zip(names, rows.T, strict=True))
 
 
 def long_enough(count: int, least: int, path: Path) -> None:

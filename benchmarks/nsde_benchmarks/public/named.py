@@ -1,7 +1,5 @@
 """What a diagnosis named, as plain values and as a sentence."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
@@ -14,16 +12,14 @@ Rung = Mapping[str, Any]
 """What a fit made: `effects`, `values`, and its error on what was held out."""
 
 
+Tried = Callable[[tuple[str, ...], Mapping[str, Any]], Rung]
+
+
 def ladder(
-    tried: Callable[[tuple[str, ...], Mapping[str, Any]], Rung],
-    candidates: Iterable[str],
-    *,
-    first: Mapping[str, Any],
-    error: str,
-    gain: float,
+    tried: Tried, names: Iterable[str], *, first: Mapping[str, Any], error: str, gain: float
 ) -> list[Rung]:
     """Fits without any term and with one more in each, the best first."""
-    rungs, names = [tried((), first)], tuple(candidates)
+    rungs = [tried((), first)]
     while True:
         last = rungs[-1]
         taken = tuple(last["effects"])

@@ -1,16 +1,12 @@
 """NanoBench: a Crazyflie 2.1 under motion capture, with motor commands and the battery's voltage (Ullah, Baca, 2026).
 
 Its first task asks for the vertical acceleration from the motor commands: thrust per command falls with the voltage.
-The quadrotor of the package is the declared physics; what it lacks is named by a diagnosis of the training parts of a
-few flights. The parameters of the score are least squares of accelerations in the training parts of all flights, and
-the four models of the set (`thrust_models`) are fitted to the training part of each.
+The quadrotor of the package is the declared physics; what it lacks is named by a diagnosis of a few flights. The
+parameters of the score are least squares of accelerations in the training parts of all flights.
 
-The set publishes one table, of one flight that its repository does not hold, so that its rows are beside ours and not
-comparable with them. Its compiled script takes gravity off the predictions of three of its models and not off what they
-are scored against; both readings of these models are scored here.
+The set publishes one table, of a flight that its repository does not hold: its rows are not comparable with ours. Its
+script takes gravity off the predictions of three models and not off what they are scored against; both are scored here.
 """
-
-from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -31,7 +27,7 @@ from nsde_torch.systems.base import System
 from .benchmark import BenchmarkMetric, BenchmarkOutcome, PublicBenchmark, PublishedRow, Trace
 from .files import MOTORS, Work, all_filled, flight_states, long_enough, table
 from .named import diagnosed, words_of
-from .output_error import machine
+from .output_error import machine, rms
 
 # The four models of thrust that NanoBench compares: a gain of the sum of squared commands, or a regression.
 #
@@ -72,47 +68,25 @@ ThrustModel = Callable[[VerticalRecord, int], Array]
 """From a flight and the first row of its test to the accelerations of the test rows (m,)."""
 
 
-def vertical_acceleration(t: Array, height: Array) -> Array:
-    """Second derivative of the height (n,) [m] at the times t (n,) [s], and gravity (n,) [m/s2]."""
-    from scipy.signal import savgol_filter
-
-    dt = float(np.median(np.diff(t)))
-    return np.asarray(savgol_filter(height, SAMPLES, DEGREE, deriv=2, delta=dt) + GRAVITY)
-
-
-def constant_gain(record: VerticalRecord, split: int) -> Array:
-    """One gain."""
-    return float(record.gain[:split].mean()) * record.squares[split:]
+def _polynomial(record: VerticalRecord, of: Array, split: int) -> Array:
+    """A gain that is a polynomial of a quantity."""
+    middle = float(of[:split].mean())
+    weights = np.polyfit(of[:split] - middle, record.gain[:split], POLYNOMIAL)
+    return np.asarray(np.polyval(weights, of[split:] - middle) * record.squares[split:])
 
 
-def time_indexed(record: VerticalRecord, split: int) -> Array:
-    """A gain that is a polynomial of the time."""
-    return _polynomial(record, record.t, split)
-
-
-def linear_regression(record: VerticalRecord, split: int) -> Array:
+def _linear(record: VerticalRecord, split: int) -> Array:
     """Least squares on commands and voltage."""
     columns = np.column_stack((record.u, record.voltage, np.ones(len(record.t))))
     weights = np.linalg.lstsq(columns[:split], record.vertical[:split], rcond=None)[0]
     return np.asarray(columns[split:] @ weights)
 
 
-def voltage_conditioned(record: VerticalRecord, split: int) -> Array:
-    """A gain that is a polynomial of the voltage."""
-    return _polynomial(record, record.voltage, split)
-
-
-def _polynomial(record: VerticalRecord, of: Array, split: int) -> Array:
-    middle = float(of[:split].mean())
-    weights = np.polyfit(of[:split] - middle, record.gain[:split], POLYNOMIAL)
-    return np.asarray(np.polyval(weights, of[split:] - middle) * record.squares[split:])
-
-
 THRUST_MODELS: dict[str, ThrustModel] = {
-    "constant gain": constant_gain,
-    "time-indexed": time_indexed,
-    "linear regression": linear_regression,
-    "voltage-conditioned": voltage_conditioned,
+    "constant gain": lambda r, split: float(r.gain[:split].mean()) * r.squares[split:],
+    "time-indexed": lambda r, split: _polynomial(r, r.t, split),
+    "linear regression": _linear,
+    "voltage-conditioned": lambda r, split: _polynomial(r, r.voltage, split),
 }
 
 
@@ -174,8 +148,6 @@ class BatteryFlight(VerticalRecord):
 
 @final
 class NanoBench(PublicBenchmark):
-    """See the module."""
-
     name = "nanobench"
     title = "NanoBench: a Crazyflie 2.1 whose battery runs down"
     repository = "syediu/nanobench-iros2026"
@@ -216,23 +188,22 @@ class NanoBench(PublicBenchmark):
         for name, model in THRUST_MODELS.items():
             fitted = [model(flight, flight.split) for flight in flights]
             rows[f"{name}, fitted here"] = _scores(flights, fitted)
-            as_published[name] = _scores(
-                flights, [p if name == "linear regression" else p - GRAVITY for p in fitted]
-            )
+            gravity = 0.0 if name == "linear regression" else GRAVITY
+            as_published[name] = _scores(flights, [p - gravity for p in fitted])
         values: dict[str, Any] = {}
         for terms in RUNGS:
             made = work.stage(f"model_{len(terms)}", partial(_identified, terms, flights, work))
             values = made["values"]
             rows[f"ours, {' + '.join(('quadrotor', *terms))}"] = made["scores"]
+        unseen = [name for name, entry in named["parameters"].items() if entry["interval_90"] is None]
+        reserved = {"Provisional": named["leads"], "Not shown by the data": unseen}
+        told = [f"{what}: {', '.join(names)}." for what, names in reserved.items() if names]
         system = machine("quadrotor", RUNGS[-1], values)
         return BenchmarkOutcome(
             rows,
             named["added"],
-            {
-                **named["parameters"],
-                **{f"all flights: {name}": {"value": value} for name, value in values.items()},
-            },
-            [*words_of(named["added"], "the rigid quadrotor", named["verdict"]), *_reservations(named)],
+            {**named["parameters"], **{f"all flights: {k}": {"value": v} for k, v in values.items()}},
+            [*words_of(named["added"], "the rigid quadrotor", named["verdict"]), *told],
             [_trace(system, flight) for flight in flights if flight.name in DIAGNOSED],
             {
                 "verdict_of_the_diagnosis": named["verdict"],
@@ -243,24 +214,17 @@ class NanoBench(PublicBenchmark):
 
 def read_flight(path: Path) -> BatteryFlight:
     """A file of the set; DataError where it is damaged, cut off, or of another set."""
+    from scipy.signal import savgol_filter
+
     held = table(path, COLUMNS, what="NanoBench")
     rows = np.stack([held[name] for name in COLUMNS], 1)
     rows = rows[rows[:, COLUMNS.index("motor_motor_m1")] > FLYING]
     long_enough(len(rows), 200, path)
     all_filled(rows, path)
     t, x, u, voltage = rows[:, 0], flight_states(rows[:, 1:14], path), rows[:, 14:18], rows[:, 18]
-    vertical = vertical_acceleration(t, x[:, 2])
+    dt = float(np.median(np.diff(t)))
+    vertical = np.asarray(savgol_filter(x[:, 2], SAMPLES, DEGREE, deriv=2, delta=dt) + GRAVITY)
     return BatteryFlight(t, u[:, list(MOTORS)] / FULL, voltage, vertical, path.stem, x)
-
-
-def _reservations(named: dict[str, Any]) -> list[str]:
-    """What of a diagnosis is a lead, and what the data do not show."""
-    unseen = [name for name, entry in named["parameters"].items() if entry["interval_90"] is None]
-    return [
-        f"{what}: {', '.join(names)}."
-        for what, names in (("Provisional", named["leads"]), ("Not shown by the data", unseen))
-        if names
-    ]
 
 
 def _identified(terms: Sequence[str], flights: Sequence[BatteryFlight], work: Work) -> dict[str, Any]:
@@ -297,22 +261,20 @@ def predicted_acceleration(system: System, flight: BatteryFlight) -> Array:
 
 def _scores(flights: Sequence[BatteryFlight], predicted: Sequence[Array]) -> dict[str, float]:
     """Medians over flights of what the test rows leave."""
-    seen: dict[str, list[float]] = {"rmse": [], "r2": [], "rmse_airborne": [], "r2_airborne": []}
+    seen: dict[str, list[float]] = {metric.key: [] for metric in NanoBench.metrics}
     for flight, path in zip(flights, predicted, strict=True):
         measured = flight.vertical[flight.split :]
         up = flight.x[flight.split :, 2] > AIRBORNE
         for ending, rows in (("", np.ones(len(up), dtype=bool)), ("_airborne", up)):
-            if not rows.any():
-                continue  # it ends before its last third
-            error, spread = (path - measured)[rows], (measured - measured[rows].mean())[rows]
-            seen[f"rmse{ending}"].append(float(np.sqrt((error**2).mean())))
-            seen[f"r2{ending}"].append(1.0 - float((error**2).sum() / max((spread**2).sum(), 1e-12)))
+            if rows.any():  # or it ends before its last third
+                error, spread = (path - measured)[rows], (measured - measured[rows].mean())[rows]
+                seen[f"rmse{ending}"].append(rms(error))
+                seen[f"r2{ending}"].append(1.0 - float((error**2).sum() / max((spread**2).sum(), 1e-12)))
     return {key: float(np.median(values)) for key, values in seen.items()}
 
 
 def _trace(system: System, flight: BatteryFlight) -> Trace:
-    test = slice(flight.split, None)
-    up = np.flatnonzero(flight.x[test, 2] > AIRBORNE) + flight.split
+    up = np.flatnonzero(flight.x[flight.split :, 2] > AIRBORNE) + flight.split
     path = predicted_acceleration(system, flight)
     return Trace(
         f"{flight.name}, last 30 %, in the air",

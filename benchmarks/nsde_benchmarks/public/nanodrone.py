@@ -6,8 +6,6 @@ square of a motor's speed as its command; the motors of the set are 1 front righ
 all parameters are fitted to rollouts over the horizon of the protocol by the mean lengths that the protocol scores.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -50,15 +48,39 @@ RUNGS = (0, 3, 4)  # how many of the terms each of our rows has
 SOURCE = "idsia-robotics/nanodrone-sysid-benchmark, results/model_comparison.ipynb"
 
 
-def _row(name: str, *values: float) -> PublishedRow:
-    keys = [f"{quantity}_{at}" for quantity, _ in QUANTITIES for at in (*(f"h{h}" for h in SHOWN), "sum")]
-    return PublishedRow(name, dict(zip(keys, values, strict=True)), SOURCE)
+AT = (*(f"h{h}" for h in SHOWN), "sum")
+PUBLISHED = {
+    "naive": (
+        *(0.0143, 0.1430, 0.6797, 17.7878, 0.0329, 0.3182, 1.4749, 38.9241),
+        *(0.0071, 0.0692, 0.3041, 8.2138, 0.0796, 0.3596, 0.8837, 29.0866),
+    ),
+    "physics": (
+        *(0.0013, 0.0126, 0.1269, 2.3223, 0.0080, 0.0570, 0.5781, 10.6232),
+        *(0.0011, 0.0205, 0.2544, 5.1013, 0.0796, 0.3596, 0.8837, 29.0866),
+    ),
+    "MLP": (
+        *(0.0032, 0.0305, 0.1712, 4.0519, 0.0116, 0.0890, 0.5720, 12.5809),
+        *(0.0022, 0.0331, 0.2268, 6.0591, 0.1138, 0.5949, 0.9005, 35.5735),
+    ),
+    "hybrid": (
+        *(0.0016, 0.0166, 0.1119, 2.3625, 0.0092, 0.0613, 0.5556, 10.4033),
+        *(0.0027, 0.0376, 0.2306, 6.1534, 0.0912, 0.4880, 0.5979, 28.9873),
+    ),
+    "LSTM": (
+        *(0.0079, 0.0390, 0.2572, 5.9711, 0.0247, 0.1175, 0.7407, 16.7207),
+        *(0.0066, 0.0372, 0.2325, 5.6525, 0.1021, 0.4292, 1.2407, 35.8353),
+    ),
+}
+"""Errors of position, velocity, rotation and rates, each after the steps shown and summed."""
+METRICS = tuple(
+    BenchmarkMetric(f"{quantity}_{at}", unit, digits=4 if at != "sum" else 2)
+    for quantity, unit in QUANTITIES
+    for at in AT
+)
 
 
 @final
 class Nanodrone(PublicBenchmark):
-    """See the module."""
-
     name = "nanodrone"
     title = "nano-drone: a Crazyflie 2.1 Brushless under motion capture"
     repository = "idsia-robotics/nanodrone-sysid-benchmark"
@@ -71,47 +93,10 @@ class Nanodrone(PublicBenchmark):
         "every sample with the measured motor speeds; mean length of the error after h steps, and its sum over h = 1 "
         "to 50."
     )
-    metrics = tuple(
-        BenchmarkMetric(f"{quantity}_{at}", unit, digits=4 if at != "sum" else 2)
-        for quantity, unit in QUANTITIES
-        for at in (*(f"h{h}" for h in SHOWN), "sum")
-    )
-    published = (
-        _row(
-            "naive",
-            *(0.0143, 0.1430, 0.6797, 17.7878),
-            *(0.0329, 0.3182, 1.4749, 38.9241),
-            *(0.0071, 0.0692, 0.3041, 8.2138),
-            *(0.0796, 0.3596, 0.8837, 29.0866),
-        ),
-        _row(
-            "physics",
-            *(0.0013, 0.0126, 0.1269, 2.3223),
-            *(0.0080, 0.0570, 0.5781, 10.6232),
-            *(0.0011, 0.0205, 0.2544, 5.1013),
-            *(0.0796, 0.3596, 0.8837, 29.0866),
-        ),
-        _row(
-            "MLP",
-            *(0.0032, 0.0305, 0.1712, 4.0519),
-            *(0.0116, 0.0890, 0.5720, 12.5809),
-            *(0.0022, 0.0331, 0.2268, 6.0591),
-            *(0.1138, 0.5949, 0.9005, 35.5735),
-        ),
-        _row(
-            "hybrid",
-            *(0.0016, 0.0166, 0.1119, 2.3625),
-            *(0.0092, 0.0613, 0.5556, 10.4033),
-            *(0.0027, 0.0376, 0.2306, 6.1534),
-            *(0.0912, 0.4880, 0.5979, 28.9873),
-        ),
-        _row(
-            "LSTM",
-            *(0.0079, 0.0390, 0.2572, 5.9711),
-            *(0.0247, 0.1175, 0.7407, 16.7207),
-            *(0.0066, 0.0372, 0.2325, 5.6525),
-            *(0.1021, 0.4292, 1.2407, 35.8353),
-        ),
+    metrics = METRICS
+    published = tuple(
+        PublishedRow(name, {m.key: v for m, v in zip(METRICS, values, strict=True)}, SOURCE)
+        for name, values in PUBLISHED.items()
     )
     minutes = 5
 
@@ -124,9 +109,8 @@ class Nanodrone(PublicBenchmark):
             for k in range(1, len(train), len(RUNS)):  # part of run 2 of each kind: the nine take an hour
                 x, u = (part[:NAMED_ROWS] for part in train[k])
                 logs.append(RawRun(paths[k].stem, 100.0 * k + times(len(x), STEP), x, u))
-            return diagnosed(
-                logs, system="quadrotor", parameters=FIRST, candidates=CANDIDATES, max_effects=4, say=work.say
-            )
+            how: dict[str, Any] = {"parameters": FIRST, "candidates": CANDIDATES, "max_effects": 4}
+            return diagnosed(logs, system="quadrotor", say=work.say, **how)
 
         named = work.stage("diagnosis", name_effects)
         values: dict[str, Any] = dict(FIRST)
@@ -140,10 +124,7 @@ class Nanodrone(PublicBenchmark):
         return BenchmarkOutcome(
             rows,
             named["added"],
-            {
-                **named["parameters"],
-                **{f"rollouts: {name}": {"value": value} for name, value in values.items()},
-            },
+            {**named["parameters"], **{f"rollouts: {k}": {"value": v} for k, v in values.items()}},
             words_of(named["added"], "the rigid quadrotor", named["verdict"]),
             _traces(system, test[0]),
             {"terms_fitted_to_rollouts": list(TERMS), "verdict_of_the_diagnosis": named["verdict"]},

@@ -10,15 +10,12 @@ Slopes are forward differences of rollouts. Noise of the process is not modelled
 taken for noise of the sensors, which is what a benchmark asks that scores a simulation.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from nsde_torch.arrays import Array
@@ -30,7 +27,7 @@ from nsde_torch.systems.base import System
 from nsde_torch.systems.options import system_options
 from nsde_torch.systems.parameters import ParameterVector
 
-from .files import Say
+from .files import Say, Work
 
 _STEP = 1e-6
 _ENOUGH = 1e-5
@@ -77,8 +74,17 @@ def with_units(system: System, values: Mapping[str, Any]) -> dict[str, dict[str,
 
 
 def rms(error: Array) -> float:
-    """Root mean square."""
     return float(np.sqrt((error**2).mean()))
+
+
+def kept_array(work: Work, name: str, make: Callable[[], Array]) -> Array:
+    """A simulation that is kept as a stage."""
+
+    def simulate() -> dict[str, Any]:
+        work.say(f"simulating {name.replace('_', ' ')}", 0, 1)
+        return {"y": make().tolist()}
+
+    return np.array(work.stage(f"simulation_{name}", simulate)["y"])
 
 
 def times(count: int, dt: float) -> Array:
@@ -115,12 +121,10 @@ def simulated(
 ) -> Array:
     """Open-loop rollouts by Runge-Kutta 4, without noise."""
     quick = ParameterVector(system).system  # its parameters are looked up, not worked out at every step
+    x, inputs = torch.from_numpy(start), torch.from_numpy(u)
     with torch.no_grad():
         parts = [
-            _rollout(
-                quick, torch.from_numpy(start[k : k + rows]), torch.from_numpy(u[k : k + rows]), dt, finer
-            )
-            for k in range(0, len(start), rows)
+            _rollout(quick, x[k : k + rows], inputs[k : k + rows], dt, finer) for k in range(0, len(x), rows)
         ]
     return torch.cat(parts).numpy()
 
@@ -135,7 +139,6 @@ class _WithoutNoise:
         self.set_step, self.inner = system.set_step, system.inner
 
     def diffusion(self, t: Time, z: Tensor, u: Tensor) -> Tensor:
-        """Nothing."""
         return torch.zeros_like(z)
 
 
@@ -158,24 +161,20 @@ def output_error(
     stage: str = "fitting",
     say: Say = silent,
 ) -> OutputErrorEstimate:
-    """Fit the declared parameters of a system to rollouts; the system is given the result.
+    """Fit the declared parameters of a system to rollouts, from its own values; the system is given the result.
 
     Args:
-        system: The machine; its values are where the search starts.
         weights: One over the typical error of each error channel (n_error,); 0 leaves a channel out.
         free: States whose initial values are fitted; the others start as measured. Columns behind the states are
             memory of the effects, which otherwise starts as they say.
-        groups: Error channels whose length is to be small and not its square: each row is weighed by one over
-            the length that it has left (iteratively reweighted least squares); empty: squares.
+        groups: Error channels whose length is to be small and not its square (iteratively reweighted least squares);
+            empty: squares.
         side_by_side: Roll out the slopes in many parameters as rows of one batch (see `ParameterVector.use` for which
             systems): the same numbers, several times faster where stretches are few.
-        stage: What `say` is told.
-
-    Raises:
-        NonFiniteError: the first values cannot be simulated.
     """
     vector = ParameterVector(system)
-    moved = np.array([j for j, place in _columns(vector) if place not in fixed], dtype=np.int64)
+    columns = {place.name: range(*place.columns.indices(len(vector))) for place in vector.places}
+    moved = np.array([j for name, own in columns.items() if name not in fixed for j in own], dtype=np.int64)
     used = np.flatnonzero(weights > 0)
     u = torch.from_numpy(data.u)
     measured = torch.from_numpy(data.x[:, 1:])
@@ -202,14 +201,36 @@ def output_error(
             out[..., own] = 1.0 / np.sqrt(np.maximum(length, 0.05 * np.median(length) + 1e-12))
         return out
 
+    def slopes_of(theta: Array, starts: Array, now: Array, share: Array) -> tuple[Array, Array]:
+        """Slopes of the weighted errors in the parameters (B, R, k) and in the initial states (B, R, f)."""
+        rows, together = now[0].size, max(1, _ROWS // len(starts)) if side_by_side else 1
+        moves: list[tuple[Array, Array, float]] = []
+        for column in moved:
+            size = _STEP * max(vector.scale[column], abs(theta[column]))
+            up = theta.copy()
+            up[column] += size if theta[column] + size < vector.high[column] else -size
+            moves.append((up, starts, up[column] - theta[column]))
+        for column in free:
+            size = _STEP * max(float(np.abs(starts[:, column]).max()), 1e-6)
+            up = starts.copy()
+            up[:, column] += size
+            moves.append((theta, up, size))
+        slopes = np.empty((len(now), rows, len(moves)))
+        for k in range(0, len(moves), together):
+            thetas, firsts, sizes = zip(*moves[k : k + together], strict=True)
+            of_rows = np.repeat(np.stack(thetas), len(now), 0) if len(thetas) > 1 else thetas[0]
+            ends = errors(of_rows, np.concatenate(firsts)).reshape(len(thetas), *now.shape)
+            for j, (end, size) in enumerate(zip(ends, sizes, strict=True)):
+                slopes[..., k + j] = ((end - now) * share).reshape(len(now), rows) / size
+        return slopes[..., : len(moved)], slopes[..., len(moved) :]
+
     now = errors(theta, starts)
     share = scaled(now)
     cost = [float(((now * share) ** 2).mean())]
     damping = 1e-3
     for done in range(iterations):
         say(stage, done, iterations)
-        together = max(1, _ROWS // len(starts)) if side_by_side else 1
-        slopes = _slopes(errors, theta, starts, now, moved, free, vector, share, together)
+        slopes = slopes_of(theta, starts, now, share)
         better = False
         for _ in range(8):
             step, shift = _solve(*slopes, (now * share).reshape(len(now), -1), damping)
@@ -237,55 +258,11 @@ def output_error(
             break
     vector.write(system, theta)
     say(stage, iterations, iterations)
-    values = {place.name: _plain(theta[place.columns]) for place in vector.places}
+    found = {place.name: theta[place.columns].tolist() for place in vector.places}
+    values = {name: value[0] if len(value) == 1 else value for name, value in found.items()}
     full = np.zeros((*now.shape[:2], len(weights)))
     full[..., used] = now / weights[used]
     return OutputErrorEstimate(values, starts[:, : system.nx], full, tuple(cost))
-
-
-def _columns(vector: ParameterVector) -> list[tuple[int, str]]:
-    return [(j, place.name) for place in vector.places for j in range(*place.columns.indices(len(vector)))]
-
-
-def _plain(values: Array) -> float | list[float]:
-    return float(values[0]) if len(values) == 1 else [float(v) for v in values]
-
-
-def _slopes(
-    errors: Callable[[Array, Array], Array],
-    theta: Array,
-    starts: Array,
-    now: Array,
-    moved: NDArray[np.int64],
-    free: Sequence[int],
-    vector: ParameterVector,
-    share: Array,
-    together: int,
-) -> tuple[Array, Array]:
-    """Slopes of the weighted errors in the parameters (B, R, k) and in the initial states (B, R, f).
-
-    `together` perturbed rollouts are made at a time.
-    """
-    rows = now.shape[1] * now.shape[2]
-    moves: list[tuple[Array, Array, float]] = []
-    for column in moved:
-        size = _STEP * max(vector.scale[column], abs(theta[column]))
-        up = theta.copy()
-        up[column] += size if theta[column] + size < vector.high[column] else -size
-        moves.append((up, starts, up[column] - theta[column]))
-    for column in free:
-        size = _STEP * max(float(np.abs(starts[:, column]).max()), 1e-6)
-        up = starts.copy()
-        up[:, column] += size
-        moves.append((theta, up, size))
-    slopes = np.empty((len(now), rows, len(moves)))
-    for k in range(0, len(moves), together):
-        thetas, firsts, sizes = zip(*moves[k : k + together], strict=True)
-        of_rows = np.repeat(np.stack(thetas), len(now), 0) if len(thetas) > 1 else thetas[0]
-        ends = errors(of_rows, np.concatenate(firsts)).reshape(len(thetas), *now.shape)
-        for j, (end, size) in enumerate(zip(ends, sizes, strict=True)):
-            slopes[..., k + j] = ((end - now) * share).reshape(len(now), rows) / size
-    return slopes[..., : len(moved)], slopes[..., len(moved) :]
 
 
 def _solve(by_theta: Array, by_start: Array, errors: Array, damping: float) -> tuple[Array, Array]:

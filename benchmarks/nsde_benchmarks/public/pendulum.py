@@ -7,8 +7,6 @@ The repository publishes parameters and recorded swing-ups, and no score. Identi
 simulated in the same way.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, final
@@ -75,8 +73,6 @@ class MotorPendulum(System):
 
 @final
 class TorqueLimitedPendulum(PublicBenchmark):
-    """See the module."""
-
     name = "pendulum"
     title = "a pendulum with a geared motor, swinging up"
     repository = "dfki-ric-underactuated-lab/torque_limited_simple_pendulum"
@@ -95,7 +91,6 @@ class TorqueLimitedPendulum(PublicBenchmark):
 
     def run(self, paths: Sequence[Path], work: Work) -> BenchmarkOutcome:
         (x, u), (x_test, u_test) = (_read(path) for path in paths)
-
         log = RawRun("ddp", times(len(x), STEP), x, u)
         first = work.stage("diagnosis", lambda: diagnosed([log], system=MotorPendulum, say=work.say))
 
@@ -103,13 +98,11 @@ class TorqueLimitedPendulum(PublicBenchmark):
             return machine(MotorPendulum, first["effects"], {**first["values"], **more})
 
         def fitted() -> dict[str, Any]:
-            estimate = output_error(
-                identified({}), _cut(x, u, STRIDE), weights=WEIGHTS, stage="fitting to rollouts", say=work.say
-            )
-            return {"values": estimate.values}
+            how: dict[str, Any] = {"weights": WEIGHTS, "stage": "fitting to rollouts", "say": work.say}
+            return {"values": output_error(identified({}), _cut(x, u), **how).values}
 
         second = work.stage("output_error", fitted)["values"]
-        test = _cut(x_test, u_test, STRIDE)
+        test = _cut(x_test, u_test)
         models = {
             "published parameters, simulated here": _published(),
             "ours, diagnosis": identified({}),
@@ -118,8 +111,7 @@ class TorqueLimitedPendulum(PublicBenchmark):
         rows, traces = {}, []
         for name, system in models.items():
             path = simulated(system, test.x[:, 0], test.u, dt=STEP)
-            error = path[:, 1:] - test.x[:, 1:]
-            rows[name] = {key: rms(error[..., k]) for k, key in enumerate(("angle", "rate"))}
+            rows[name] = {m.key: rms((path - test.x)[:, 1:, k]) for k, m in enumerate(self.metrics)}
         every = round(SECONDS / STEP) // STRIDE  # stretches that follow one another without overlap
         t = times(len(test.x[::every]) * round(SECONDS / STEP), STEP)
         for k, (title, label) in enumerate((("angle", "angle [rad]"), ("rate", "rate [rad/s]"))):
@@ -162,5 +154,5 @@ def _read(path: Path) -> tuple[Array, Array]:
     return x, np.interp(grid + 0.5 * STEP, t, held["torque"])[:, None]
 
 
-def _cut(x: Array, u: Array, stride: int) -> Stretches:
-    return windows([x], [u], dt=STEP, length=round(SECONDS / STEP), stride=stride)
+def _cut(x: Array, u: Array) -> Stretches:
+    return windows([x], [u], dt=STEP, length=round(SECONDS / STEP), stride=STRIDE)

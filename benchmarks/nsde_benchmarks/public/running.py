@@ -9,15 +9,29 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nsde_torch.evaluation.report import table as aligned
+from nsde_torch.lookup import class_by_name
 from nsde_torch.plots.style import BLACK, VERMILLION, key, panels, save, styled
 
 from .benchmark import BenchmarkMetric, BenchmarkOutcome, PublicBenchmark
 from .files import Work, key_of
+from .names import BENCHMARK_HOMES
 from .output_error import silent
-from .registry import BENCHMARKS, benchmark_class
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+
+BENCHMARKS: dict[str, type[PublicBenchmark]] = {
+    name: class_by_name(home, {}, PublicBenchmark, kind="benchmark", home="nsde_benchmarks.public.benchmark")
+    for name, home in BENCHMARK_HOMES.items()
+}
+
+
+def benchmark_class(name: str) -> type[PublicBenchmark]:
+    """Class of a set: a key of `BENCHMARKS`, or `module:Class` of the user's own; ConfigError: there is none."""
+    return class_by_name(
+        name, BENCHMARKS, PublicBenchmark, kind="benchmark", home="nsde_benchmarks.public.benchmark"
+    )
 
 
 @styled
@@ -52,15 +66,12 @@ def run_benchmark(
     say: Callable[[str, int, int], None] = silent,
     tell: Callable[[str], None] = print,
 ) -> dict[str, Any]:
-    """Run a public benchmark and write its result.
+    """Run a public benchmark; writes its result, and returns what `benchmark.json` holds.
 
     Args:
         name: Key of `BENCHMARKS`, or `module:Class` of your own.
         folder: Checkout of the repository of the set, or a folder with its files.
         out_dir: Where stages, `benchmark.json` and the picture go; what an interrupted run left there is used.
-
-    Returns:
-        What `benchmark.json` holds: protocol, our rows and the published ones, what was found.
 
     Raises:
         ConfigError: there is no such set.
@@ -84,7 +95,10 @@ def run_benchmark(
 def content_of(
     benchmark: PublicBenchmark, outcome: BenchmarkOutcome, paths: Sequence[Path]
 ) -> dict[str, Any]:
-    """What `benchmark.json` holds."""
+    ours = {
+        name: {key: value if math.isfinite(value) else None for key, value in values.items()}
+        for name, values in outcome.rows.items()
+    }
     return {
         "benchmark": benchmark.name,
         "title": benchmark.title,
@@ -93,7 +107,7 @@ def content_of(
         "protocol": benchmark.protocol,
         "units": {metric.key: metric.unit for metric in benchmark.metrics},
         "higher_is_better": [metric.key for metric in benchmark.metrics if metric.higher_is_better],
-        "ours": {name: _finite(values) for name, values in outcome.rows.items()},
+        "ours": ours,
         "published": [
             {"name": row.name, "values": dict(row.values), "source": row.source, "note": row.note}
             for row in benchmark.published
@@ -118,10 +132,6 @@ def ratios(benchmark: PublicBenchmark, outcome: BenchmarkOutcome) -> dict[str, f
     return out
 
 
-def _finite(values: Mapping[str, float]) -> dict[str, float | None]:
-    return {key: value if math.isfinite(value) else None for key, value in values.items()}
-
-
 def table(content: Mapping[str, Any], metrics: Sequence[BenchmarkMetric]) -> list[str]:
     """Lines of a table: the published rows, then ours; four numbers side by side, the next ones below."""
     if len(metrics) > _SIDE_BY_SIDE:
@@ -129,14 +139,12 @@ def table(content: Mapping[str, Any], metrics: Sequence[BenchmarkMetric]) -> lis
             table(content, metrics[k : k + _SIDE_BY_SIDE]) for k in range(0, len(metrics), _SIDE_BY_SIDE)
         )
         return [*first, *(line for part in rest for line in ("", *part))]
-    digits = {metric.key: metric.digits for metric in metrics}
     heads = ["", *(f"{m.key} [{m.unit}]" if m.unit else m.key for m in metrics)]
-    rows = []
-    for row in content["published"]:
-        note = f" ({row['note']})" if row["note"] else ""
-        rows.append([row["name"] + note, *(_cell(row["values"].get(k), d) for k, d in digits.items())])
-    for name, values in content["ours"].items():
-        rows.append([name, *(_cell(values.get(k), d) for k, d in digits.items())])
+    named = [
+        (f"{r['name']} ({r['note']})" if r["note"] else r["name"], r["values"]) for r in content["published"]
+    ]
+    every = [*named, *content["ours"].items()]
+    rows = [[name, *(_cell(values.get(m.key), m.digits) for m in metrics)] for name, values in every]
     head, _, *lines = aligned(heads, rows).splitlines()
     return [head, "-" * len(head), *lines]
 

@@ -8,8 +8,6 @@ and e the speed constant of a direct-current motor behind its gears: s = k_t V /
 arm of length l and mass a are those of the run. Friction is not declared: the catalogue has it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import final
 
@@ -45,7 +43,7 @@ class ServoPendulum(System):
             "arm",
             "theta_dot",
             Port.TORQUE,
-            position="theta",
+            "theta",
             kind="joint",
             unit="N m",
             words="the arm",
@@ -89,9 +87,8 @@ class ServoPendulum(System):
 
     def _weight(self, x: Tensor, u: Tensor) -> Tensor:
         mass, length = u[:, 3:4], u[:, 4:5]
-        return (
-            -(mass + 0.5 * _arm(length)) * GRAVITY * length * torch.sin(x[:, :1] - self.value("angle_offset"))
-        )
+        turned = torch.sin(x[:, :1] - self.value("angle_offset"))
+        return -(mass + 0.5 * _arm(length)) * GRAVITY * length * turned
 
 
 def _arm(length: Tensor) -> Tensor:
@@ -121,21 +118,16 @@ def budget(p: Mapping[str, float], motor: Array, weight: Array, speed: Array) ->
     out = p["friction_base"] + p["friction_viscous"] * np.abs(speed) + still * p.get("friction_stribeck", 0.0)
     if "load_friction_motor" in p:
         for extra, share in (("", np.ones_like(still)), ("_stribeck", still)):
-            of_weight, of_motor = (
-                p[f"load_friction_{side}{extra}"] * torque
-                for side, torque in (("external", weight), ("motor", motor))
-            )
-            out = out + share * np.abs(of_weight - of_motor)
+            of_weight, of_motor = (p[f"load_friction_{side}{extra}"] for side in ("external", "motor"))
+            out = out + share * np.abs(of_weight * weight - of_motor * motor)
     else:
         share = p.get("load_friction_base", 0.0) + still * p.get("load_friction_stribeck", 0.0)
         out = out + share * np.abs(weight - motor)
     if "load_friction_motor_quad" in p:
         opposed = np.sign(weight) != np.sign(motor)
+        of_weight, of_motor = (p[f"load_friction_{side}_quad"] for side in ("external", "motor"))
         drives = np.abs(motor) > np.abs(weight)
-        quadratic = np.where(
-            drives, p["load_friction_external_quad"] * weight**2, p["load_friction_motor_quad"] * motor**2
-        )
-        out = out + still * opposed * quadratic
+        out = out + still * opposed * np.where(drives, of_weight * weight**2, of_motor * motor**2)
     result: Array = out
     return result
 

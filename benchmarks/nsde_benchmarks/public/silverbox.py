@@ -8,8 +8,6 @@ more than `GAIN`, the best first. The input is band-limited, so it is not held o
 grid, and the middle of each fine step is what acts.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, final
@@ -23,7 +21,7 @@ from nsde_torch.systems import Defaults, ErrorGroup, OneDegreeOfFreedom, Residua
 from .benchmark import BenchmarkMetric, BenchmarkOutcome, PublicBenchmark, PublishedRow, Trace
 from .files import Work, long_enough, matrices
 from .named import ladder, words_of
-from .output_error import machine, output_error, rms, simulated, times, windows
+from .output_error import kept_array, machine, output_error, rms, simulated, times, windows
 
 STEP = 2.0**14 / 1e7  # [s]
 FINER = 2  # steps of the integrator in a sample: 17 a period at resonance
@@ -63,8 +61,6 @@ class SilverboxCircuit(OneDegreeOfFreedom):
 
 @final
 class Silverbox(PublicBenchmark):
-    """See the module."""
-
     name = "silverbox"
     title = "Silverbox: a circuit with a cubic spring, output alone measured"
     repository = "biaslab/nsi-silverbox"
@@ -117,11 +113,8 @@ class Silverbox(PublicBenchmark):
                 if made is rungs[-1]:
                     t = times(len(path), STEP)
                     traces.append(Trace(f"{test}, open loop", "output [V]", t, y[part], path))
-            rows[f"ours, {name}"] = {
-                "arrow": NORM * rms(errors["arrow"]),
-                "arrow_no_extrapolation": NORM * rms(errors["arrow"][: INSIDE - SKIPPED]),
-                "multisine": NORM * rms(errors["multisine"]),
-            }
+            scored = {**errors, "arrow_no_extrapolation": errors["arrow"][: INSIDE - SKIPPED]}
+            rows[f"ours, {name}"] = {m.key: NORM * rms(scored[m.key]) for m in self.metrics}
         return BenchmarkOutcome(
             rows,
             taken,
@@ -151,45 +144,27 @@ class _Record:
         data = self._cut(start, stop, WINDOW, stride)
         system = machine(SilverboxCircuit, effects, first)
         name = " + ".join(["linear", *effects])
-        made = output_error(
-            system, data, weights=WEIGHTS, free=(0, 1), iterations=12, stage=f"fitting {name}", say=work.say
-        )
+        how: dict[str, Any] = {"weights": WEIGHTS, "free": (0, 1)}
+        made = output_error(system, data, iterations=12, stage=f"fitting {name}", say=work.say, **how)
         other = self._cut(start + stride // 2, stop, WINDOW, stride)
-        starts = output_error(
-            system,
-            other,
-            weights=WEIGHTS,
-            free=(0, 1),
-            fixed=tuple(made.values),
-            iterations=4,
-            stage="checking",
-        )
-        return {
-            "effects": list(effects),
-            "values": made.values,
-            "held_out_mV": NORM * rms(starts.errors[..., 0]),
-        }
+        fixed = tuple(made.values)
+        starts = output_error(system, other, fixed=fixed, iterations=4, stage="checking", **how)
+        error = NORM * rms(starts.errors[..., 0])
+        return {"effects": list(effects), "values": made.values, "held_out_mV": error}
 
     def simulated(self, made: Mapping[str, Any], part: slice, name: str, work: Work) -> Array:
         """Output over a test, from a state that its first samples show."""
 
-        def make() -> dict[str, Any]:
-            work.say(f"simulating {name}", 0, 1)
+        def make() -> Array:
             system = machine(SilverboxCircuit, made["effects"], {**_FIRST, **made["values"]})
             first = self._cut(part.start, part.start + SKIPPED + 1, SKIPPED, SKIPPED)
-            state = output_error(
-                system,
-                first,
-                weights=WEIGHTS,
-                free=(0, 1),
-                fixed=tuple(made["values"]),
-                iterations=8,
-                stage="first state",
-            ).starts
+            fixed = tuple(made["values"])
+            how: dict[str, Any] = {"weights": WEIGHTS, "free": (0, 1), "fixed": fixed, "iterations": 8}
+            start = output_error(system, first, stage="first state", **how).starts
             u = self.u[None, part.start * FINER : (part.stop - 1) * FINER, None]
-            return {"y": simulated(system, state, u, dt=STEP, finer=FINER)[0, :, 0].tolist()}
+            return simulated(system, start, u, dt=STEP, finer=FINER)[0, :, 0]
 
-        return np.array(work.stage(f"simulation_{name}", make)["y"])
+        return kept_array(work, name, make)
 
 
 _FIRST = {"linear_spring.stiffness": 1.8e5, "viscous_friction.damping": 30.0}

@@ -22,7 +22,6 @@ from nsde_torch.effects import effect_class
 from nsde_torch.effects.expression_grammar import parse
 from nsde_torch.inference.steps import data_sizes
 from nsde_torch.simulation import simulate
-from nsde_torch.sysid.feedback_test import FeedbackTest
 from nsde_torch.systems import System, make_system
 from nsde_torch.systems.options import system_options
 from tests.helpers.diagnosed import assert_interval, diagnosed, recorded
@@ -73,16 +72,6 @@ def test_a_law_that_explains_a_part_of_what_functions_do_is_not_named() -> None:
     assert (content["verdict"], content["added"]) == ("unexplained", [])
     _, content = diagnosed("mass_spring_damper", {HALF: {"c1": -6.0}}, **SHORT)
     assert content["added"] == [HALF]
-
-
-@pytest.mark.slow
-def test_a_law_that_leaves_what_inputs_predict_as_it_was_is_not_named(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    # the same data as above, where it is named
-    monkeypatch.setattr(FeedbackTest, "predicted", property(lambda test: 0.2))
-    _, content = diagnosed("mass_spring_damper", {HALF: {"c1": -6.0}}, options=Options(seed=1), **SHORT)
-    assert (content["verdict"], content["added"]) == ("unexplained", [])
 
 
 @pytest.mark.slow

@@ -192,16 +192,13 @@ def swung(run: RawRun, *, bias: float = 0.0, tired: float = 0.0) -> RawRun:
          {"order": (31.0, 0.01, 0.1)}),
         (stop, {**LONG, "size": 0.4}, {}, ENDS, "stop_above",
          {"stiffness": (60.0, 0.3, np.inf), "end": (0.3, 0.002, np.inf)}),
-        (lambda q, v: -(0.3 + 0.2 * np.cos(2.0 * q)) * np.tanh(v / 0.05), {**FREE, "size": 1.0}, {}, None,
-         "torque = c1 sign(theta_dot, k1) + c2 cos(2 theta) sign(theta_dot, k1)",
-         {"c1": (-0.3, 0.005, 0.05), "c2": (-0.2, 0.005, 0.05)}),
         (lambda q, v: 0.0, {**LONG, "size": 1.0}, {"bias": 0.04}, None, "position_bias",
          {"bias": (0.04, 0.0003, 0.003)}),
         (lambda q, v: 0.0, {**FREE, "size": 0.6}, {"tired": 0.01}, None, "actuator_gain_drift",
          {"rate": (-0.01, 0.0002, np.inf)}),
     ],
-    ids=["cogging over many turns", "teeth of any number", "a stop on one side", "friction of the place",
-         "an encoder off its zero", "it tires"],
+    ids=["cogging over many turns", "teeth of any number", "a stop on one side", "an encoder off its zero",
+         "it tires"],
 )  # fmt: skip
 @pytest.mark.slow
 def test_what_turns_a_pendulum_beside_its_motor_is_named_with_its_size(
@@ -217,6 +214,21 @@ def test_what_turns_a_pendulum_beside_its_motor_is_named_with_its_size(
     assert found.added == [effect]
     for name, (truth, slack, width) in intervals.items():
         assert_interval(found.parameters, f"{effect}.{name}", truth, slack=slack, width=width)
+
+
+@pytest.mark.slow
+def test_a_friction_of_the_place_is_found_as_one_law_or_as_the_sum_of_several() -> None:
+    def torque(q: float, v: float) -> float:
+        return float(-(0.3 + 0.2 * np.cos(2.0 * q)) * np.tanh(v / 0.05))
+
+    found = nsde_torch.diagnose(turned(torque, **FREE, size=1.0), system=PENDULUM, say=False)
+    machine = found.outcome.system
+    x = torch.cartesian_prod(torch.linspace(-3.0, 3.0, 25), torch.tensor([-8.0, -2.0, -0.5, 0.5, 2.0, 8.0]))
+    u, before = torch.zeros(len(x), 1), machine.without_effects(*found.added)
+    assert (machine.nz, before.nz) == (2, 2), "something has a memory"
+    with torch.no_grad():
+        acts = (machine.drift(0.0, x, u) - before.drift(0.0, x, u))[:, 1]
+    assert acts.numpy() == pytest.approx([torque(q, v) for q, v in x.tolist()], abs=0.01)
 
 
 def test_a_sound_machine_without_a_position_is_sound_in_slow_and_noisy_rows() -> None:

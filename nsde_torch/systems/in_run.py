@@ -158,6 +158,8 @@ def may_differ(system: System, target: str, x: Tensor, u: Tensor) -> bool:
     channels (N, nu + n).
     """
     made = difference_on(system, target)
+    if not made.width:  # a number for each input, of a machine that has none
+        return False
     effect = made({"change": [0.1] * made.width}).to(x.dtype)
     effect.set_value("change", 0.1 * effect.scale_of("change"))
     machine = system.reading(by_run.RUN).to(x.dtype).with_effects(effect)

@@ -1,10 +1,7 @@
 """Effects of the catalogue as candidates: which a system may have, where their fits start, and from how many starts."""
 
-import copy
 from collections.abc import Collection, Mapping, Sequence
 from math import prod
-
-import torch
 
 from nsde_torch.effects import EFFECTS, Effect, Law, Port, effect_class, register
 from nsde_torch.effects.expression import Expression
@@ -12,7 +9,7 @@ from nsde_torch.effects.law import joined_name, split_name
 from nsde_torch.effects.one_input import OnOneInput, of_several_units
 from nsde_torch.errors import ConfigError
 from nsde_torch.systems import System
-from nsde_torch.systems.coordinates import SPEEDS
+from nsde_torch.systems.coordinates import SPEEDS, no_zero
 from nsde_torch.systems.parameters import own_name
 
 # of an input's size: one that never falls below it is an absolute temperature. A motor under 1.5 to 3 V may have a dead
@@ -46,7 +43,7 @@ def why_not(system: System, name: str) -> str:
         return "it compares inputs, and the machine has one"
     if of_several_units(cls, system.input_units[: system.nu]) and not issubclass(cls, OnOneInput):
         return SEVERAL_UNITS
-    if cls.port is Port.POSITION and (reason := _no_bias(system, name)):
+    if cls.port is Port.POSITION and (reason := no_zero(system, name)):
         return reason
     return cls.no_candidate(system.name)
 
@@ -83,24 +80,6 @@ def without_motion(system: System) -> tuple[str, str]:
         f"where {' and '.join(of)} {'are velocities' if len(of) > 1 else 'is a velocity'}, this line in its class adds "
         f"them: coordinates = ({made},)",
     )
-
-
-@torch.no_grad()
-def _no_bias(system: System, name: str) -> str:
-    """Why the zero of a position is no candidate, by the rates of some states; empty where it may be one."""
-    of = copy.deepcopy(system).double()
-    x = torch.linspace(-0.9, 1.0, 7 * of.nx, dtype=torch.float64).reshape(7, -1)
-    u = x.new_ones(7, of.nu + len(of.exogenous))
-    rates = [of.drift(0.0, of.augment(x, u), u)]
-    for bias in (0.05, 0.1):
-        biased = of.with_effects(of.make_effect(name, dict.fromkeys(effect_class(name).null, bias)))
-        rates.append(biased.drift(0.0, biased.augment(x, u), u))
-    once, twice = ((rate - rates[0]).nan_to_num(0.0, 0.0, 0.0) for rate in rates[1:])
-    if not bool(twice.any()):  # of a heading in the open
-        return "nothing that is declared depends on that position"
-    if torch.allclose(twice, 2.0 * once, rtol=1e-6, atol=1e-9 * float(twice.abs().max())):
-        return "all that is declared is linear in that position, and a steady force is the same"
-    return ""
 
 
 def check_candidates(system: System, names: Sequence[str], also: Sequence[str] = ()) -> list[str]:

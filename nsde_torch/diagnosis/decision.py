@@ -22,7 +22,7 @@ from nsde_torch.diagnosis.feedback_bias import (
     chance_beyond,
     lengths_of_parameters,
 )
-from nsde_torch.diagnosis.joint_selection import FittedPhysics, JointSelection
+from nsde_torch.diagnosis.joint_selection import FittedPhysics, JointSelection, sure_nats
 from nsde_torch.diagnosis.outcome import Estimate, Found, Outcome, Refuted, Verdict, found_by, undecided
 from nsde_torch.diagnosis.reading import Log
 from nsde_torch.diagnosis.regressors import BEFORE
@@ -96,10 +96,29 @@ def set_aside(search: Search, chosen: Outcome, log: Log) -> Outcome:
             break
         _, name, base, channels = weakest
         hidden.append(FeedbackBiased(name, channels))
-        joint = joint.less(name)
+        joint = _still_needed(search, joint.less(name))
+        base = search.at(joint.final)
         tested = log.loop(base)
     found = found_by(search, joint)
     return replace(chosen, final=base, found=found, joint=joint, hidden=tuple(hidden), test=tested)
+
+
+def _still_needed(search: Search, joint: JointSelection) -> JointSelection:
+    """The selection without effects that bring nothing beside fewer, the weakest first.
+
+    Without a damping that feedback may have made a flapping moment of a quadrotor brought -2 nats, and was named.
+    """
+    while joint.selected:
+        sure = {
+            n: e.nats - sure_nats(search, e.error)
+            for n in joint.selected
+            for e in [joint.evidence(search, n)]
+        }
+        weakest = min(sure, key=lambda n: sure[n])
+        if sure[weakest] > 0:
+            break
+        joint = joint.less(weakest)
+    return joint
 
 
 def _hidden(

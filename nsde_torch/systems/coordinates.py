@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
@@ -219,6 +220,24 @@ def check_pushes(system: System, x: Tensor, u: Tensor) -> None:
                 f"{', '.join(faster) or 'nothing'}). Check `row` and `velocity` of the coordinate, the signs in "
                 "`dynamics`, and that the first values of the parameters are those of a possible machine."
             )
+
+
+@torch.no_grad()
+def no_zero(system: System, name: str) -> str:
+    """Why the zero of a position is no candidate, by the rates of some states; empty where it may be one."""
+    of = copy.deepcopy(system).double()
+    x = torch.linspace(-0.9, 1.0, 7 * of.nx, dtype=torch.float64).reshape(7, -1)
+    u = x.new_ones(7, of.nu + len(of.exogenous))
+    rates = [of.drift(0.0, of.augment(x, u), u)]
+    for bias in (0.05, 0.1):
+        biased = of.with_effects(of.make_effect(name, dict.fromkeys(effect_class(name).null, bias)))
+        rates.append(biased.drift(0.0, biased.augment(x, u), u))
+    once, twice = ((rate - rates[0]).nan_to_num(0.0, 0.0, 0.0) for rate in rates[1:])
+    if not bool(twice.any()):  # of a heading in the open
+        return "nothing that is declared depends on that position"
+    if torch.allclose(twice, 2.0 * once, rtol=1e-6, atol=1e-9 * float(twice.abs().max())):
+        return "all that is declared is linear in that position, and a steady force is the same"
+    return ""
 
 
 def check_effect(system: System, effect: Effect) -> None:

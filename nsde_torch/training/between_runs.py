@@ -30,6 +30,7 @@ from nsde_torch.inference import MaximumLikelihood, Optimum
 from nsde_torch.inference.functions import Functions, seen_by_networks
 from nsde_torch.inference.sensitivity import Grams, grams, half_squares, solved
 from nsde_torch.systems import System
+from nsde_torch.systems.coordinates import no_zero
 from nsde_torch.systems.in_run import OVER_MASS, difference_on, may_differ
 from nsde_torch.systems.parameters import ParameterVector
 
@@ -56,9 +57,12 @@ def differing(at: Optimum, beside: Functions | None) -> list[str]:
     tables = [space.columns(about.x, about.slopes, range(len(vector)), about.after).float()]
     candidates = _of_the_physics(at, system)
     able = system.able_effects()
+    # of which there may be another in each run; a zero that a steady force is the same as is none
     steady = [
-        name for name in able if split_name(name)[0] in OF_EACH_RUN
-    ]  # of which there may be another in each run
+        name
+        for name, effect in able.items()
+        if split_name(name)[0] in OF_EACH_RUN and not (effect.port is Port.POSITION and no_zero(system, name))
+    ]
     names = [name for name in steady if name not in system.effect_names]
     if names:
         wider = at.of.of(system.with_effects(*(system.make_effect(name) for name in names)))

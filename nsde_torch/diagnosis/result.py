@@ -373,7 +373,8 @@ def summary(
         "verdict": "doubted" if outcome.doubted else verdict,
         "added": added,
         "names": named([*faults, *shown.few], shown),
-        "hidden": outcome.test.hidden,
+        # where no input answers there is no controller: of a smoothed open loop "a controller that saw more" was said
+        "hidden": outcome.test.hidden if outcome.test.closed else {},
         "known": outcome.test.most_known,
         "smoothed": smoothed,
         "larger": any(f.provisional == LARGER for f in outcome.found),

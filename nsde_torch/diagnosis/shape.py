@@ -215,11 +215,11 @@ def spectrum(regression: Regression, channel: int) -> tuple[Array, Array]:
 
 
 def white_parts(regression: Regression, channel: int) -> tuple[float, float, float]:
-    """Variances per step of the disturbance and of the sensor, from the upper half of the band, and a surer first one.
+    """Variances per step of the disturbance and of the sensor, and the largest that the first may be.
 
-    By Whittle's likelihood. Where the sensor's noise hides the disturbance there, the variance that the data show is 0
-    and that of a disturbance that they cannot deny is not: the third value, two standard errors above the first. With
-    the first alone dry friction of seven blind logs with white gusts left "10 to 25 times white noise".
+    By Whittle's likelihood, from the upper half of the band. Where the sensor's noise hides the disturbance there, the
+    first is 0; the third is two standard errors above it. By the first alone, what dry friction and white gusts left of
+    seven blind logs was "10 to 25 times white noise".
     """
     frequency, power = spectrum(regression, channel)
     steps = regression.physics.steps

@@ -76,9 +76,8 @@ _LOST = 1.0  # nats by which the nonlinear filter may differ from its linearisat
 _LATE = 30  # rows after the start of a stretch in which unmeasured states are known from later ones
 _SHORTEST, _FEWEST = 32, 50  # steps of a stretch, rows in all
 _SHORTEST_OF_STATES = 10
-_UNKNOWN = (
-    3.0  # times what is not known of an inferred rate, and times the size of a memory: where a filter starts
-)
+# times what is not known of an inferred rate, and times the size of a memory: where a filter starts
+_UNKNOWN = 3.0
 _DIFFERENCES, _OVER = 4, 10
 _LAGS = 10  # of the autocorrelation of innovations
 _WHITE = 0.02  # largest share of their variance that the past of whitened innovations may predict
@@ -385,7 +384,10 @@ class LogLikelihood:
 
 @torch.no_grad()
 def log_likelihood(system: System, runs: Sequence[Run], *, levels: Levels, clock: float = 1.0) -> float:
-    """Log likelihood of some runs under a machine with its present values and noise levels [nats]."""
+    """Log likelihood of some runs, all on one step, under a machine with its present values and noise levels [nats].
+
+    `clock` is in physical seconds per logged second.
+    """
     problem = LogLikelihood(system, runs, clock)
     _, about = problem.first(problem.vector.start)
     return problem.settled(levels, about, problem.filtered(levels, about), _PASSES)[1].total

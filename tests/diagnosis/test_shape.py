@@ -3,6 +3,8 @@
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -12,8 +14,9 @@ from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.joint_selection import fitted_at
 from nsde_torch.diagnosis.residual_tests import PhysicsResiduals, beyond_chance, dependences
 from nsde_torch.diagnosis.search import Search
-from nsde_torch.diagnosis.shape import Rates, Shape, bins, rates, shape
+from nsde_torch.diagnosis.shape import Rates, Shape, bins, rates, shape, white_parts
 from nsde_torch.inference import LogLikelihood
+from nsde_torch.sysid.regression import Regression
 from tests.helpers.residuals import MadeResiduals
 from tests.inference.springs import rubbing, small_runs, spring
 
@@ -133,3 +136,24 @@ def test_a_swing_whose_phase_differs_from_run_to_run_is_told_with_its_frequency(
     assert "phase differs" in words.sentence
     left.inputs = False  # what was restored from an average swings by itself
     assert not any(d.sinusoid is not None for d in dependences(left))
+
+
+@pytest.mark.parametrize("sensor", [0.0, 0.02, 0.5])
+def test_white_gusts_that_the_sensor_hides_are_no_disturbance_that_lasts(sensor: float) -> None:
+    """What is fitted of them may be nothing; the largest that they may be is not, and what lasts is beyond it."""
+    rng, dt, rows, gust = np.random.default_rng(2), 0.01, 6000, 0.05
+
+    def parts(push: Array) -> tuple[float, float, float]:
+        left = push + np.diff(sensor * rng.normal(size=rows + 1))
+        steps = SimpleNamespace(segments=((0, rows),), dt=dt)
+        physics = SimpleNamespace(steps=steps, residual=lambda theta: left[:, None])
+        return white_parts(cast(Regression, SimpleNamespace(physics=physics, theta=None)), 0)
+
+    white = gust * np.sqrt(dt) * rng.normal(size=rows)
+    first, of_sensor, most = parts(white)
+    assert first < most
+    assert most > 0.9 * gust**2 * dt
+    assert of_sensor == pytest.approx(sensor**2, rel=0.1, abs=1e-6)
+    lasts = np.repeat(rng.normal(size=rows // 100), 100) * 0.05
+    if sensor < 0.1:
+        assert parts(lasts)[2] < 0.02 * 100 * float(np.square(lasts).mean())

@@ -292,10 +292,8 @@ class LogLikelihood:
             noise = chunks.y.diff(n=_DIFFERENCES, dim=0).square().mean((0, 1)).div(FOURTH).sqrt()
             if inner.quaternion is not None:
                 noise[inner.quaternion] = 0.0
-            self.space.use(self.vector.start)
-            follows, begins = self.space.noise_of_memory(noise)
+            follows, begins, begun = self.space.first_memory(self.vector.start, noise)
             of_memory = torch.where(chunks.follows[:, None], follows, _UNKNOWN * begins)
-            begun = self.space.memory_as_measured()
         self.start = Start(chunks.y[0], std, of_memory, begun)
 
     def first(self, theta: Array) -> tuple[Levels, Linearisation]:

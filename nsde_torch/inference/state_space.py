@@ -208,32 +208,29 @@ class StateSpace:
         system = self.vector.system
         return system.error(self.chunks.y, x[..., : system.nx])[..., self.observed]
 
-    def noise_of_memory(self, std: Tensor) -> tuple[Tensor, Tensor]:
-        """What noise (nx,) of the machine's measured states does to estimated memory that follows them, and its size.
+    def first_memory(self, theta: Array, std: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Of estimated memory at some values: what noise (nx,) of the measured states does to it, its size, its start.
 
-        Standard deviations (k,); its size is what is not known of it where a recording begins in the middle of motion.
+        Standard deviations (k,), the second of which is what is not known of it where a recording begins in the middle
+        of motion, and what each chunk starts with by what was measured (C, k).
         """
-        steps, system = self.steps, self.vector.system
+        self._take(torch.as_tensor(theta))
+        steps, system, own = self.steps, self.vector.system, list(self.estimated)
         noise = (
             torch.randn(steps.x0.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(0)) * std
         )
         x0, x1 = steps.x0 + noise, steps.x1.clone()
         for a, b in steps.segments:
             x1[a : b - 1] = x0[a + 1 : b]
-        noisy, clean = (memory_along(system, part)[0] for part in (replace(steps, x0=x0, x1=x1), steps))
-        noise_std, size = (values[:, list(self.estimated)].std(0) for values in (noisy - clean, clean))
-        return noise_std, size
-
-    def memory_as_measured(self) -> Tensor:
-        """Estimated memory that each chunk starts with (C, q), by what was measured."""
-        steps, system, own = self.steps, self.vector.system, list(self.estimated)
+        noisy, clean = (memory_along(system, part) for part in (replace(steps, x0=x0, x1=x1), steps))
+        noise_std, size = (values[:, own].std(0) for values in (noisy[0] - clean[0], clean[0]))
 
         def residual(before: Tensor, after: Tensor) -> Tensor:
             later = self.step(steps.t, join_columns((steps.x0, before[:, own])), before, steps.u)
             return system.error(steps.x1, later[:, : system.nx])
 
-        memory = memory_along(system, steps)
-        return self.chunks.cut(memory_as_measured(system, steps, memory, own, residual)[0][:, own])[0]
+        measured, _ = memory_as_measured(system, steps, clean, own, residual)
+        return noise_std, size, self.chunks.cut(measured[:, own])[0]
 
     def rate(
         self, t: Tensor, x: Tensor, memory: Tensor, u: Tensor, push: Mapping[Port, Tensor] | None = None

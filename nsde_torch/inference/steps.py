@@ -452,9 +452,8 @@ def memory_as_measured(
         moved = memory[0].clone()
         moved[:, column] += size[j]
         slopes.append((rates(moved) - still) / size[j])
-    step = torch.linalg.matrix_exp(
-        steps.dt * torch.stack(slopes, 2)
-    )  # of what starts elsewhere, to the next row
+    # of what starts elsewhere, to the next row
+    step = torch.linalg.matrix_exp(steps.dt * torch.stack(slopes, 2))
     away = torch.empty_like(step)
     for a, b in steps.segments:
         away[a] = torch.eye(len(own))
@@ -462,10 +461,10 @@ def memory_as_measured(
             away[k] = step[k - 1] @ away[k - 1]
     ends, responses = (away, step @ away), []
     for j in range(len(own)):
-        aside = [part.clone() for part in memory]
-        for part, there in zip(aside, ends, strict=True):
+        displaced = [part.clone() for part in memory]
+        for part, there in zip(displaced, ends, strict=True):
             part[:, own] += size[j] * there[:, :, j]
-        responses.append(residual(*aside) - before)
+        responses.append(residual(*displaced) - before)
     weight = before.square().mean(0).clamp_min(1e-300).rsqrt()
     columns, left = torch.stack(responses, 2) * weight[:, None], before * weight
     out = [part.clone() for part in memory]

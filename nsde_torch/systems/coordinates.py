@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
@@ -225,12 +224,14 @@ def check_pushes(system: System, x: Tensor, u: Tensor) -> None:
 @torch.no_grad()
 def no_zero(system: System, name: str) -> str:
     """Why the zero of a position is no candidate, by the rates of some states; empty where it may be one."""
-    of = copy.deepcopy(system).double()
-    x = torch.linspace(-0.9, 1.0, 7 * of.nx, dtype=torch.float64).reshape(7, -1)
-    u = x.new_ones(7, of.nu + len(of.exogenous))
-    rates = [of.drift(0.0, of.augment(x, u), u)]
-    for bias in (0.05, 0.1):
-        biased = of.with_effects(of.make_effect(name, dict.fromkeys(effect_class(name).null, bias)))
+    biased = system.with_effects(system.make_effect(name)).double()
+    effect = biased.effects[-1]
+    assert isinstance(effect, Effect)
+    x = torch.linspace(-0.9, 1.0, 7 * biased.nx, dtype=torch.float64).reshape(7, -1)
+    u, rates = x.new_ones(7, biased.nu + len(biased.exogenous)), []
+    for bias in (0.0, 0.05, 0.1):
+        for key in effect.null:
+            effect.set_value(key, x.new_tensor([bias]))
         rates.append(biased.drift(0.0, biased.augment(x, u), u))
     once, twice = ((rate - rates[0]).nan_to_num(0.0, 0.0, 0.0) for rate in rates[1:])
     if not bool(twice.any()):  # of a heading in the open

@@ -346,7 +346,7 @@ def test_the_zero_of_a_gap_is_found_where_a_force_of_it_is_no_line() -> None:
             lift = max(9.81 + 900.0 * (seen[0] - wanted) + 45.0 * seen[1], 0.0)
             current = (lift / 1.2e-3) ** 0.5 * seen[0]
             rows.append((seen[0] + bias, seen[1], current))
-            for _ in range(10):  # leaps of a frog: no rule of the package
+            for _ in range(10):  # leapfrog: no rule of the package
                 z += 0.05 * dt * v
                 v += 0.1 * dt * (9.81 - 1.2e-3 * (current / z) ** 2)
                 z += 0.05 * dt * v

@@ -143,14 +143,14 @@ def with_differences(
         begun = fitted(joint.final.system.without_effects(*instead), joint.final)
     apart = joint.final.at.of.apart_s
     odd = _one_is_odd(guard)
-    columns = columns_beside(begun, together=odd, steady=not all_of_it)
+    columns = columns_beside(search, begun, together=odd, steady=not all_of_it)
     first = _best(search, begun, columns)
     whole = {run.name for run in log.runs}
     parts = cut_where_it_changes(log, search, begun, columns, {one.of.target: one.nats for one in first})
     if parts is not log:
         log, search = parts, parts.search(parts.runs).apart(apart)
         begun = fitted_at(_likelihood(log, begun), begun.system, None)
-        first = _best(search, begun, columns_beside(begun, together=odd))
+        first = _best(search, begun, columns_beside(search, begun, together=odd))
     if not first or not (asked or log.moments):
         return now
     there = sorted(set(begun.at.of.space.steps.runs))
@@ -169,7 +169,7 @@ def with_differences(
     for count in range(_MOST):
         log.say("what differs between runs", count, _MOST)
         better, alike = _with_one(
-            made, place, _best(again, place, columns_beside(place, together=odd)), names
+            made, place, _best(again, place, columns_beside(again, place, together=odd)), names
         )
         # of a quadrotor's flights half of the time went into differences of gains that feedback may have made. Beside a
         # law of the time they are no worse than that (cart of seed 203, a force of each run)

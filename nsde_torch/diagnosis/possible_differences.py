@@ -15,6 +15,7 @@ from torch import Tensor
 from nsde_torch.arrays import Array
 from nsde_torch.diagnosis.candidates import candidate_names, effect_of, joined, starts
 from nsde_torch.diagnosis.joint_selection import FittedPhysics
+from nsde_torch.diagnosis.search import Search
 from nsde_torch.effects import Effect, Port
 from nsde_torch.effects.by_run import MASS, OF_EACH_RUN, ByRun
 from nsde_torch.effects.expression_grammar import is_law
@@ -50,8 +51,10 @@ class ColumnsBeside:
 
 
 @torch.no_grad()
-def columns_beside(place: FittedPhysics, *, together: bool = False, steady: bool = False) -> ColumnsBeside:
-    """Columns of all that may differ, from the optimum of some physics.
+def columns_beside(
+    search: Search, place: FittedPhysics, *, together: bool = False, steady: bool = False
+) -> ColumnsBeside:
+    """Columns of all that may differ, from the optimum of some physics: of effects, of the candidates alone.
 
     Of all its own parameters `together` too; of `steady` forces and zeros alone, that are no part of it.
     """
@@ -60,7 +63,7 @@ def columns_beside(place: FittedPhysics, *, together: bool = False, steady: bool
     known = dict(zip(vector.labels, place.best.theta.tolist(), strict=True))
     new: list[tuple[str, System, int, int]] = []
     at = len(vector)
-    for target, system, label in _not_there(place, steady):
+    for target, system, label in _not_there(search, place, steady):
         own = place.at.of.of(system)
         own.space.use(own.vector.inside(own.vector.first_values(known)))
         labels = [(name, name.partition("[")[0]) for name in own.vector.labels]
@@ -77,13 +80,13 @@ def columns_beside(place: FittedPhysics, *, together: bool = False, steady: bool
     return ColumnsBeside(candidates, table, held.blocks)
 
 
-def _not_there(place: FittedPhysics, steady: bool) -> Iterator[tuple[str, System, str]]:
+def _not_there(search: Search, place: FittedPhysics, steady: bool) -> Iterator[tuple[str, System, str]]:
     """What is no part of the physics and has one size: what differs, the physics with it, and the label of its size.
 
     Steady forces and zeros alone, if `steady`.
     """
     system = place.system
-    for name in candidate_names(system):
+    for name in candidate_names(system, search.candidates):
         if steady and split_name(name)[0] not in OF_EACH_RUN:
             continue
         cls = system.effect_class(name)

@@ -110,12 +110,14 @@ def pushed_spring(seed: int, seconds: float, push: Any) -> Run:
     return Run("run", t, rows + rng.normal(0.0, (0.002, 0.01), rows.shape), u[:, None])
 
 
-def diagnosed_file(folder: Path, *runs: Run) -> dict[str, Any]:
+FEW = ("coulomb_friction", "quadratic_damping", "actuator_gain_drift", "constant_force")
+
+
+def diagnosed_file(folder: Path, *runs: Run, few: Sequence[str] = FEW) -> dict[str, Any]:
     folder.mkdir()
     for r, run in enumerate(runs):
         columns = np.column_stack((run.t, run.x, run.u))
         np.savetxt(folder / f"run_{r}.csv", columns, "%.6f", ",", header="t,q,q_dot,force", comments="")
-    few = ("coulomb_friction", "quadratic_damping", "actuator_gain_drift", "constant_force")
     return dict(nsde_torch.diagnose(folder, system="mass_spring_damper", candidates=few, say=False).content())
 
 
@@ -155,6 +157,13 @@ def test_a_gust_in_one_run_has_its_time_and_its_size(tmp_path: Path) -> None:
     sizes = {key: p["value"] for key, p in content["parameters"].items() if key.startswith("run_force")}
     assert max(sizes.values()) == pytest.approx(0.2, abs=0.02)
     assert sorted(map(abs, sizes.values()))[-2] < 0.02
+
+
+def test_what_is_no_candidate_differs_in_no_run(tmp_path: Path) -> None:
+    runs = [pushed_spring(r, 15.0, lambda t, v, u, q, r=r: 0.2 * (r == 1)) for r in range(3)]  # type: ignore[misc]
+    content = diagnosed_file(tmp_path / "push", *runs, few=("coulomb_friction",))
+    assert "run_force" not in content["added"]
+    assert content["verdict"] == "unexplained"
 
 
 def test_wind_that_comes_and_goes_is_no_gust(tmp_path: Path) -> None:

@@ -68,8 +68,10 @@ def test_what_inputs_predict_in_a_closed_loop_may_be_what_an_effect_explains() -
     assert test.other_sensors == ()
     assert test.not_from_the_log == ("w_x",)
     assert replace(test, answers=()).not_from_the_log == ()  # an open loop: what is missing is physics
-    played = replace(test, new={"the input of w_x": 0.9})
-    assert played.not_from_the_log == ()  # no controller made it
+    new = replace(test, new={"the input of w_x": 0.9})
+    assert new.not_from_the_log == ("w_x",)  # the noise of the controller's own sensors is new
+    others = tuple(a for a in test.answers if a.input != "the input of w_x")
+    assert replace(new, answers=others).not_from_the_log == ()  # it answers nothing: no controller made it
 
 
 def test_an_effect_counts_by_what_it_brings_beyond_what_may_be_hidden() -> None:

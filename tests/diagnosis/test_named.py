@@ -174,8 +174,7 @@ RIVALS = Options(candidates=("constant_wind", "linear_drag", "thrust_misalignmen
 
 
 @pytest.mark.xfail(
-    reason="beside the wind, which is right, three provisional effects that are none: damping of turns (no "
-    "candidate), 0.39 1/s about yaw, which differs between runs by up to 6.5, as the gain of yaw does by 6.0 rad/s2",
+    reason="beside the wind, which is right, a gain of yaw that differs between runs by 6.0 rad/s2, provisional",
     strict=True,
 )
 @pytest.mark.slow

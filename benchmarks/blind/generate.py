@@ -49,7 +49,14 @@ _TURNED = ("frame_misalignment",)
 _OF_THE_LOG = (*_TURNED, "position_bias[pole]")
 _LATER = {  # than the committed seeds, whose draws stay what they were; of every coordinate
     *("drift_velocity", "exchange", "relaxation", "viscoelasticity", "added_inertia", "gravity_torque"),
-    *("axial_inflow", "rotor_drag", "translational_lift", "asymmetric_lag", "actuator_rate_limit"),
+    *(
+        "axial_inflow",
+        "rotor_drag",
+        "translational_lift",
+        "asymmetric_lag",
+        "actuator_rate_limit",
+        "actuator_resonance",
+    ),
     *("tracked_point", "supply_sag", "slung_load", "link_weight", "hidden_mass", "stop_above", "stop_below"),
 }
 TIES = (

@@ -188,7 +188,14 @@ def _known(system: System, name: str) -> str:
 
 
 # effects that make inputs act late
-LATE = ("input_delay", "motor_lag", "actuator_lag", "asymmetric_lag", "actuator_rate_limit")
+LATE = (
+    "input_delay",
+    "motor_lag",
+    "actuator_lag",
+    "asymmetric_lag",
+    "actuator_rate_limit",
+    "actuator_resonance",
+)
 
 
 @dataclass(frozen=True)

@@ -397,7 +397,8 @@ class Effect(Parametrised, ABC):
             dt: Length of a step [s].
 
         Returns:
-            One memory per step (n, n_memory), to be held over it in place of the result of `memory_rate`.
+            One memory per step (n, n_memory), to be held over it in place of the result of `memory_rate`; of one that a
+            filter estimates, that at the start of each step and at the end of the last (n + 1, n_memory).
         """
         return None
 

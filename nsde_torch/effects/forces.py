@@ -61,7 +61,8 @@ class HiddenSwing(Effect):
         # rates of [ahead, speed, velocity, its slope]
         rates = np.array([[0, 1, -1, 0], [-w * w, -rub, rub, 0], [0, 0, 0, 1], [0, 0, 0, 0]])
         v = self.velocity(x).double().numpy()
-        along = second_order(expm(rates * dt)[:2], np.concatenate((v, v[-1:])), dt)
+        slope = np.diff(v, axis=0, append=v[-1:]) / dt
+        along = second_order(expm(rates * dt)[:2], np.stack((np.zeros_like(v[0]), v[0])), v, slope)
         return torch.from_numpy(along).to(x.dtype)
 
     def memory_start(self, x: Tensor, u: Tensor) -> Tensor:

@@ -52,22 +52,21 @@ def rate_limited(u: Array, most: float) -> Array:
 
 
 @compiled
-def second_order(over: Array, v: Array, dt: float) -> Array:
-    """Two states (n, 2 d) of a linear equation, those of all directions beside one another, along velocities (n, d).
+def second_order(over: Array, start: Array, v: Array, slope: Array) -> Array:
+    """Two states (n + 1, 2 d) of a linear equation, those of all directions beside one another, along a drive (n, d).
 
-    Velocities are straight over each step; the states begin at nothing and the velocity. `over` (2, 4) is what states,
-    velocity and its slope at the start of a step make of the states at its end.
+    The drive is straight over each step, with a slope (n, d); the states begin at `start` (2, d). `over` (2, 4) is what
+    states, drive and slope at the start of a step make of the states at its end.
     """
     ways = v.shape[1]
-    out = np.empty((len(v), 2 * ways))
+    out = np.empty((len(v) + 1, 2 * ways))
     for k in range(ways):
-        a, b = 0.0, v[0, k]
+        a, b = start[0, k], start[1, k]
         out[0, k], out[0, ways + k] = a, b
-        for i in range(len(v) - 1):
-            at, slope = v[i, k], (v[i + 1, k] - v[i, k]) / dt
+        for i in range(len(v)):
             a, b = (
-                over[0, 0] * a + over[0, 1] * b + over[0, 2] * at + over[0, 3] * slope,
-                over[1, 0] * a + over[1, 1] * b + over[1, 2] * at + over[1, 3] * slope,
+                over[0, 0] * a + over[0, 1] * b + over[0, 2] * v[i, k] + over[0, 3] * slope[i, k],
+                over[1, 0] * a + over[1, 1] * b + over[1, 2] * v[i, k] + over[1, 3] * slope[i, k],
             )
             out[i + 1, k], out[i + 1, ways + k] = a, b
     return out

@@ -51,6 +51,7 @@ EFFECTS: dict[str, type[Effect]] = {
         actuators.ActuatorLag,
         actuators.AsymmetricLag,
         actuators.ActuatorRateLimit,
+        actuators.ActuatorResonance,
         actuators.ActuatorDeadband,
         actuators.AsymmetricDeadband,
         actuators.AsymmetricGain,

@@ -424,6 +424,14 @@ def _held(system: System, steps: Steps) -> tuple[Tensor, Tensor, Tensor]:
     return torch.cat(starts), torch.cat(parts), known
 
 
+def _running_products(step: Tensor) -> Tensor:
+    """Of each matrix (N, k, k), the product of those before it, from the identity; in as many passes as N has bits."""
+    out, reach = torch.cat((torch.eye(step.shape[-1]).to(step)[None], step[:-1])), 1
+    while reach < len(out):
+        out, reach = torch.cat((out[:reach], out[reach:] @ out[:-reach])), 2 * reach
+    return out
+
+
 def memory_as_measured(
     system: System,
     steps: Steps,
@@ -454,11 +462,7 @@ def memory_as_measured(
         slopes.append((rates(moved) - still) / size[j])
     # of what starts elsewhere, to the next row
     step = torch.linalg.matrix_exp(steps.dt * torch.stack(slopes, 2))
-    away = torch.empty_like(step)
-    for a, b in steps.segments:
-        away[a] = torch.eye(len(own))
-        for k in range(a + 1, b):
-            away[k] = step[k - 1] @ away[k - 1]
+    away = torch.cat([_running_products(step[a:b]) for a, b in steps.segments])
     ends, responses = (away, step @ away), []
     for j in range(len(own)):
         displaced = [part.clone() for part in memory]

@@ -439,17 +439,19 @@ class System(Parametrised, ABC):
         """
         ends = list(accumulate((effect.n_memory for effect in self._own), initial=0))
         memory, command = x.new_zeros(len(x), ends[-1]), u[:, : self.nu]
-        known = torch.zeros(ends[-1], dtype=torch.bool)
+        known, after = torch.zeros(ends[-1], dtype=torch.bool), torch.zeros_like(memory)
         for k in self._on_input:
             effect, own = self._own[k], self._seen(k, x, command, u)
             columns = slice(ends[k], ends[k + 1])
+            mean = memory[:, columns]
             if effect.n_memory:
                 held = effect.held(own, dt)
                 if held is None:
                     break
-                memory[:, columns], known[columns] = held, True
-            command = command + effect(t, x, own, memory[:, columns])
-        after = memory.clone()
+                pair = (held[:-1], held[1:]) if effect.estimated else (held, held)
+                memory[:, columns], after[:, columns] = pair
+                mean, known[columns] = 0.5 * (pair[0] + pair[1]), True
+            command = command + effect(t, x, own, mean)
         for k, effect in enumerate(self._own):
             followed = effect.followed(x, dt) if k not in self._on_input else None
             if followed is None:

@@ -100,6 +100,41 @@ class TestActuatorRateLimit(EffectContract):
         torch.testing.assert_close(effect.held(u, 0.1), torch.cat(means))
 
 
+class TestActuatorResonance(EffectContract):
+    name, system, memory = "actuator_resonance", "mass_spring_damper", 2
+    values: ClassVar = {"period": 0.5, "damping": 0.3}
+
+    def test_a_step_of_the_command_is_followed_as_the_equation_says(self) -> None:
+        s = self.machine(values={f"actuator_resonance.{k}": v for k, v in self.values.items()}).double()
+        z, u = torch.zeros(1, 4).double(), torch.ones(1, 1).double()
+        for _ in range(200):
+            z = _rk4(s, z, u, 0.005)
+        w, d, t = 4.0 * np.pi, 0.3, 1.0
+        fast = w * np.sqrt(1.0 - d * d)
+        expected = 1.0 - np.exp(-d * w * t) * (np.cos(fast * t) + d * w / fast * np.sin(fast * t))
+        assert float(z[0, 2]) == pytest.approx(expected, abs=1e-5)
+
+    @torch.no_grad()
+    def test_what_follows_held_inputs_is_what_integration_makes(self) -> None:
+        effect, u = self.make(self.values).double(), torch.randn(30, 1).double()
+        memory, x, rows = (
+            effect.memory_start(torch.zeros(1, 2).double(), u[:1]),
+            torch.zeros(1, 2).double(),
+            [],
+        )
+        for row in u[:, None]:
+            rows.append(memory)
+            now = solve_ivp(
+                lambda t, m, row=row: effect.memory_rate(t, x, row, torch.from_numpy(m)[None])[0].numpy(),
+                (0.0, 0.05),
+                memory[0].numpy(),
+                rtol=1e-9,
+                atol=1e-11,
+            )
+            memory = torch.from_numpy(now.y[:, -1])[None]
+        torch.testing.assert_close(effect.held(u, 0.05), torch.cat((*rows, memory)), atol=1e-7, rtol=0.0)
+
+
 def _rk4(s: torch.nn.Module, z: torch.Tensor, u: torch.Tensor, dt: float) -> torch.Tensor:
     with torch.no_grad():
         a = s.drift(0.0, z, u)  # type: ignore[operator]

@@ -450,7 +450,8 @@ def _selected(
     def of(apart: float) -> JointSearch:
         problem = LogLikelihood(system, runs, log.recorded.clock, run_in=True, apart=apart)
         # a force of 12.5 Hz was named in rows of 20 Hz (drive 0 of bench_friction_drive.py)
-        return JointSearch(search, problem, system, [f for f in frequencies if f * apart < HIGHEST])
+        some = [f for f in frequencies if f * apart < HIGHEST]
+        return JointSearch(search, problem, system, some, given=log.system)
 
     made = of(0.0)
     if search.steps.dt < 0.5 * apart and made.declared.best.misfit:

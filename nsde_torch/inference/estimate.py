@@ -479,10 +479,12 @@ def fit(system: System, runs: Sequence[Run], *, clock: float = 1.0) -> MaximumLi
 
 
 def nearly_maximised(
-    problem: LogLikelihood, near: Optimum | None = None, *, wanted: float = -inf
+    problem: LogLikelihood, near: Optimum | None = None, *, wanted: float = -inf, turns: int = _TURNS
 ) -> tuple[MaximumLikelihood, Optimum]:
     """As `maximised`, as near to the optimum as comparing physics needs, and intervals at the noise levels found."""
-    return maximised(problem, near, settled_at=_NEAR, gain=_NEAR_GAIN, nuisances=False, wanted=wanted)
+    return maximised(
+        problem, near, settled_at=_NEAR, gain=_NEAR_GAIN, nuisances=False, wanted=wanted, turns=turns
+    )
 
 
 @torch.no_grad()
@@ -496,6 +498,7 @@ def maximised(
     nuisances: bool = True,
     held: Levels | None = None,
     wanted: float = -inf,
+    turns: int = _TURNS,
 ) -> tuple[MaximumLikelihood, Optimum]:
     """Theta and noise levels of largest likelihood, from the first values of the physics.
 
@@ -505,6 +508,7 @@ def maximised(
         nuisances: Whether intervals allow for noise levels that are not known.
         held: Noise levels that are known and stay; None finds them.
         wanted: Log likelihood that is asked for: where there is no way to it the iteration ends.
+        turns: Most steps of theta.
 
     Raises:
         DataError: known levels are of other disturbances: which ones push alike depends on where a log goes.
@@ -535,7 +539,7 @@ def maximised(
     settled, away, fallen, columns = False, inf, 0, torch.zeros(0)
     # where each measurement costs a nat there is no way back, and fits take a minute (a wind on NeuroBEM)
     ahead = float(space.measurements)
-    for _ in range(_TURNS):
+    for _ in range(turns):
         check_time()
         if away > _CLOSE:
             columns = space.columns(about.x, about.slopes, everything, about.after)

@@ -1,6 +1,7 @@
 """The house: one class to a name, and control without a simulator."""
 
 import ast
+import re
 import subprocess
 import sys
 from collections import defaultdict
@@ -36,3 +37,17 @@ def test_what_flies_a_machine_loads_no_simulator(root: Path) -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def test_every_case_that_a_comment_names_exists(root: Path) -> None:
+    """A rule names the test or the study whose answer gets worse without it."""
+    tests = {path.name: path.read_text() for path in (root / "tests").rglob("*.py")}
+    names = {path.name for path in (root / "benchmarks").rglob("*.py")} | set(tests)
+    cases = set(re.findall(r"def (test_\w+)", "".join(tests.values()))) | {name[:-3] for name in names}
+    lost = []
+    for path in _files(root, "nsde_torch", "cli"):
+        text = path.read_text()
+        files = set(re.findall(r"\b(?:test|bench)_\w+\.py\b", text)) - names
+        cited = set(re.findall(r"\btest_\w{16,}\b", text))
+        lost += [f"{path}: {name}" for name in sorted(files | (cited - cases))]
+    assert lost == []

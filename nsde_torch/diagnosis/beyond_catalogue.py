@@ -387,7 +387,7 @@ def same_effect(steps: Steps, system: System, law: str) -> tuple[str, Start] | N
         cls = system.effect_class(name)
         if cls.port is not own.port or cls.exogenous:
             continue
-        # a sign of the speed with its width is a dry friction (tests/diagnosis/test_law_names.py)
+        # a sign of the speed with its width is a dry friction (tests/diagnosis/test_laws_beyond_the_catalogue.py)
         shaped = dict(zip(cls.shapes, shapes, strict=True)) if len(cls.shapes) == len(shapes) else {}
         sizes = {k: _size(cls.PARAMETERS[k]) for k in cls.amplitudes}
         try:

@@ -545,9 +545,9 @@ class JointSearch:
         """The physics with a candidate that explains much more once it is fitted than its linearised step promises.
 
         Gusts that last have learned a steady push: what a step gains at their level is no measure of what a fit gains
-        (2.7 and 27 nats, tests/diagnosis/test_buys.py). And where what is missing biases the physics far, as a motor's
-        lag does a gain that one flight shows best, steps from there disagree between runs
-        (tests/diagnosis/test_turned_axes.py).
+        (2.7 and 27 nats, tests/diagnosis/test_ceiling.py). And where what is missing biases the physics far, as the
+        lag of a motor does a gain that one flight shows best, steps from there disagree between runs
+        (tests/diagnosis/test_named.py).
 
         A part of a long log is asked first: three fits of six racing flights (NeuroBEM) that win nothing take a minute.
         """
@@ -773,7 +773,7 @@ class JointSearch:
             if only is not None and rival not in only:
                 continue
             # from the noise levels that its step was made at: from those beside the effect, of which one was a tenth, a
-            # dry friction ended 24,000 nats below (tests/diagnosis/test_standing.py)
+            # dry friction ended 24,000 nats below (tests/diagnosis/test_named.py)
             there = self._tried(system, without, least)
             gained = _compared(self.search, name, rival, place, there)
             if gained > 0 and (best is None or gained > best[0]):
@@ -796,7 +796,7 @@ class JointSearch:
     def _in_parts(self, name: str, place: FittedPhysics, without: FittedPhysics) -> list[str]:
         """What is as likely as an effect and a sum: a simpler effect that it contains, and another that does the rest.
 
-        Air that moves is drag and a steady push where all flights point the same way (tests/diagnosis/test_in_part.py).
+        Air that moves is drag and a steady push where all flights point the same way (tests/diagnosis/test_named.py).
         """
         simpler, out = effect_class(name).includes, []
         for part in (p for p in self.look(without) if p.name in simpler):

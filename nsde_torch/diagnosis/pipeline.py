@@ -402,7 +402,7 @@ def searched(log: Log, search: Search, before: Outcome | None = None) -> Outcome
     if made is None:
         return _concluded(log, search, joint)
     # a dry friction is identified best by how it changes at a turn, which these rows lack. But how it holds is no law
-    # of the speed: where the rows do not fit it, it biases the rest (a damping of 0.265 for 0.3, test_standing.py)
+    # of the speed: where the rows do not fit it, it biases the rest (a damping of 0.265 for 0.3, test_named.py)
     same = joint is not None and joint.selected.keys() == made[1].selected.keys()
     sound = joint is not None and (made[1].final.best.misfit or not joint.final.best.misfit)
     if joint is not None:

@@ -568,7 +568,7 @@ def maximised(
         at = there or problem.filtered(levels, about)
         # to compare physics, steps that promise much and bring nothing do too: friction has a sign. Final fits go
         # on: unsettled, they have no intervals (two_frictions.py, seed 1: 17 of 18 held, and 18 so). So do those that
-        # all others begin from: half a nat short of it a wind promised 35 nats for 42 (test_in_part.py)
+        # all others begin from: half a nat short of it a wind promised 35 nats for 42 (test_named.py)
         compared = not nuisances and near is not None
         over = settled or fallen >= _FALLEN or (compared and at.total < begun + gain * worth)
         if over and at.total < before + gain * worth:
@@ -632,7 +632,7 @@ def bounded_change(vector: ParameterVector, held: Grams, theta: Array, damping: 
     """The damped step (k,) of largest linearised likelihood inside the bounds."""
     low, high = (end - theta for end in vector.reach(theta))
     free, change = _free(vector, theta, held), np.zeros(len(theta))
-    # what brings no nat however far a step goes stays: beside no drag a wind may be anything (test_in_part.py)
+    # what brings no nat however far a step goes stays: beside no drag a wind may be anything (test_named.py)
     most = 0.5 * np.diag(held.total)[1 : 1 + len(theta)] * np.square(np.maximum(-low, high))
     free = free[most[free] > _SHOWN]
     if len(free):

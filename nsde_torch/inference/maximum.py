@@ -37,7 +37,7 @@ from nsde_torch.time_limit import check_time
 
 _PRIOR = 0.02  # weight of the first guess: that of a hundredth of a nat for a factor of e
 # simulations without noise: with 8, noise levels of the declared physics stop far above those beside any effect, which
-# then passes for evidence of it (test_exact_logs.py)
+# then passes for evidence of it (test_named.py)
 _DOWN, _UP = 20.0, 6.0  # how far logarithms may go from there
 LONGEST_S = 1.0
 """That a disturbance lasts, and a noise model remembers [s]: what lasts longer is structure.
@@ -88,7 +88,7 @@ def likeliest(
     """
     phi, prior = levels.vector(), first.vector()
     low, high = prior - _DOWN, prior + _UP
-    # of a simulation without noise nothing is missing (tests/diagnosis/test_exact_logs.py)
+    # of a simulation without noise nothing is missing (tests/diagnosis/test_named.py)
     low[: len(space.least_sensor)].clamp_(min=space.least_sensor)
     high = torch.maximum(high, low)
     high[-space.nd :].clamp_max_(log(LONGEST_S))
@@ -178,7 +178,7 @@ def likeliest(
             break
         # what promised far more than it brought is of another place, and a step that brings little may lead to the
         # other side of a hill: levels stopped 6 to 275 nats below, which whatever was tried next brought, a sinusoid
-        # that is not there too (test_levels_do_not_stop_by_information_from_elsewhere, test_fit.py)
+        # that is not there too
         if not gained > max(_GAIN, _HOLDS * promised):
             known = None
         fresh = False

@@ -28,7 +28,7 @@ LONGER = 1.5  # times the step of the log from which a step holds several rows
 FINEST_S = 0.005
 """Time into which rows of fast logs are taken together [s]: at 1 kHz a diagnosis had found nothing in 10 minutes."""
 _ENOUGH = 1000
-"""Rows that such a log keeps: a short one has no time to win (tests/diagnosis/test_cuts.py, 60 rows at 2 kHz)."""
+"""Rows that such a log keeps: a short one has no time to win (tests/diagnosis/test_not_done.py, 60 rows at 2 kHz)."""
 LONG = 1_500_000
 """Numbers of states and inputs that are used of a log. Of one hour (360,006 rows) a spring's diagnosis took 4.3 GB; a
 hexacopter's training took 3.3 GB of ten minutes (60,000 rows)."""

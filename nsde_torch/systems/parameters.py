@@ -20,7 +20,7 @@ from nsde_torch.effects import Effect, Parametrised, Port, effect_class
 from nsde_torch.errors import ConfigError
 from nsde_torch.systems.base import System
 
-# beside no drag, steps of a wind of 1e6 m/s led nowhere (tests/diagnosis/test_in_part.py)
+# beside no drag, steps of a wind of 1e6 m/s led nowhere (tests/diagnosis/test_named.py)
 _LONGEST = 10.0  # typical sizes of a parameter that one step may go
 InRun = dict[str, Callable[[Tensor], Tensor]]
 _BEYOND = 4.0  # times the grid of a shape, at which it does not matter any more

@@ -49,6 +49,18 @@ def _slew(limit: float) -> Callable[[float, State], float]:
     return acts
 
 
+def _servo(hertz: float, ratio: float) -> Callable[[float, State], float]:
+    w, h = 2.0 * math.pi * hertz, STEP / INNER
+
+    def acts(u: float, s: State) -> float:
+        at, rate = s.own.get("m", 0.0), s.own.get("rate", 0.0)
+        s.own["rate"] = rate + h * (w * w * (u - at) - 2.0 * ratio * w * rate)
+        s.own["m"] = at + h * s.own["rate"]
+        return s.own["m"]
+
+    return acts
+
+
 def _hidden(stiffness: float, damping: float) -> Callable[[float, State], float]:
     """A second mass of a quarter on a spring of its own, which nobody sees."""
 
@@ -71,6 +83,7 @@ def kinds(rng: np.random.Generator) -> dict[str, Kind]:
     size, stop, slope, weaker = between((0.25, 0.6), (0.25, 0.35), (30.0, 80.0), (0.6, 0.8))
     rate, turn, fast, part = between((4.0, 7.0), (12.0, 25.0), (0.05, 0.1), (0.3, 0.6))
     back, ahead, floor, ceiling = between((0.1, 0.3), (0.3, 0.6), (1.0, 1.4), (1.5, 2.0))
+    hertz, ratio = between((1.0, 6.0), (0.1, 0.8))
     dry = ("coulomb_friction", "stribeck_friction")
     return {
         "nothing": Kind(),
@@ -100,6 +113,7 @@ def kinds(rng: np.random.Generator) -> dict[str, Kind]:
         "wall of magnets": Kind(pulls=lambda u, s: 0.03 / (0.9 - min(s.q, 0.8)) ** 2),
         "off-centre gap": Kind(acts=lambda u, s: u - min(max(u, -back), ahead), may=("asymmetric_deadband",)),
         "cut by sign": Kind(acts=lambda u, s: min(max(u, -floor), ceiling), may=("asymmetric_saturation",)),
+        "servo": Kind(acts=_servo(hertz, ratio), may=("actuator_resonance",)),
     }
 
 

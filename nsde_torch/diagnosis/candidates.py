@@ -162,6 +162,13 @@ def joined(system: System, name: str, start: Start) -> System:
     return system.with_effects(system.make_effect(name, start))
 
 
+def simplified(system: System, name: str, simpler: str) -> System:
+    """The system with an effect in the place of one that contains it, at the values that they share."""
+    own, cls = values_of(effect_of(system, name)), effect_class(simpler)
+    values = {theirs: own[key] for key, theirs in effect_class(name).shared(cls).items()}
+    return joined(system.without_effects(name), simpler, values)
+
+
 def alone(name: str, labels: Sequence[str]) -> list[tuple[str, ...]]:
     """What to hold at nothing, a choice at a time: all but one of the parameters of which there is one per input."""
     cls = effect_class(name)

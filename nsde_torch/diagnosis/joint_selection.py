@@ -33,6 +33,7 @@ from nsde_torch.diagnosis.candidates import (
     candidate_names,
     effect_of,
     joined,
+    simplified,
     starts,
     starts_of,
 )
@@ -582,7 +583,7 @@ class JointSearch:
         log tells. Each to its end: they begin far below the physics without it, and one fit may not get there. Of a
         hidden mass of 3 % it was 190 nats short (benchmarks/blind/hidden_masses.py, spring 16).
         """
-        before, values = best, effect_class(name).fitted_from
+        before, values = best, _seen_once_fitted(name)
         if not values or not place.best.predictable.any():
             return best
         few = self._in_few_rows(_OF_RESONANCE) or self
@@ -613,7 +614,7 @@ class JointSearch:
         """
         wanted = place.best.likelihood + max(least, self.search.decisions.alike_nats)
         there = self._tried(proposal.system, place, wanted)
-        if effect_class(proposal.name).fitted_from:
+        if _seen_once_fitted(proposal.name):
             return self._from_each(proposal.name, place, there)
         if there.best.likelihood > place.best.likelihood + _RISES * proposal.nats:
             return there
@@ -775,6 +776,9 @@ class JointSearch:
             # from the noise levels that its step was made at: from those beside the effect, of which one was a tenth, a
             # dry friction ended 24,000 nats below (tests/diagnosis/test_named.py)
             there = self._tried(system, without, least)
+            if rival in contained and there.best.likelihood < least:
+                # without it the physics may lie where no step leads back from: two equal lags up and down were no lag
+                there = self._tried(simplified(place.system, name, rival), place, least)
             gained = _compared(self.search, name, rival, place, there)
             if gained >= 0 and (fewer := self._without_needless(there, rival)) is not there:
                 there, gained = fewer, _compared(self.search, name, rival, place, fewer)
@@ -900,6 +904,15 @@ def fitted_at(
 def fitted(system: System, like: FittedPhysics) -> FittedPhysics:
     """A machine at the optimum of its likelihood, from its values and those of other physics on the same rows."""
     return fitted_at(like.at.of.of(system), system, like.at)
+
+
+def _seen_once_fitted(name: str) -> Sequence[Mapping[str, float]]:
+    """Values from which fits of an effect begin, as a linearised step from no effect shows nothing of it.
+
+    Of what acts on inputs it does, unless their gain is nothing (`JointSearch._afresh`).
+    """
+    cls = effect_class(name)
+    return () if cls.port is Port.INPUT else cls.fitted_from
 
 
 def coordinate_of(system: System, effect: Law) -> list[str]:

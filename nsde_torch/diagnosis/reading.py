@@ -126,7 +126,8 @@ def cut_at(runs: Sequence[Run], moments: Moments) -> tuple[Run, ...]:
         for first, last in moments.get(run.name, ()):
             a, b = (int(at) for at in np.searchsorted(run.t, (first, last)))
             name = f"{words} to {first:.2f} s" if words else f"{run.name} before {first:.2f} s"
-            out.append(run.slice(begin, a, name=name))
+            if a - begin > 1:  # moments may be next to one another, and none is between two of them
+                out.append(run.slice(begin, a, name=name))
             begin, words = b, f"{run.name} from {last:.2f}"
         out.append(run.slice(begin, len(run), name=f"{words} s") if words else run)
     return tuple(out)

@@ -311,6 +311,8 @@ def low_passed(values: Tensor, hz: float, dt: float, *, level: bool = False) -> 
 
     With `level` they go on beyond the ends as a line through these, as states do; else as they come, mirrored.
     """
+    if not values.numel():  # of no parameter that is free
+        return values
     n, some = len(values), max(1, int(1.0 / (hz * dt)))
     around = min(n - 1, int(_AROUND / (hz * dt)))
     before, behind = values[1 : around + 1].flip(0), values[n - 1 - around : n - 1].flip(0)

@@ -24,6 +24,8 @@ from nsde_torch.recording.latency import Latency, by_fault, latency_findings, on
 GAP_STEPS = 2.5
 """Steps without a row from which on the time between two rows is a gap, unless the caller says how long."""
 JITTER = 0.05  # share of a step by which a row may lie off the uniform grid before the segment is resampled
+_TO_JUDGE = 100  # rows of a segment at least whose times are held against even ones
+_SMOOTHER = 20.0  # nats: noise of neighbouring rows is not independent
 LONGER = 1.5  # times the step of the log from which a step holds several rows
 FINEST_S = 0.005
 """Time into which rows of fast logs are taken together [s]: at 1 kHz a diagnosis had found nothing in 10 minutes."""
@@ -155,14 +157,32 @@ def follows(t: Array, dt: float) -> bool:
     return all(is_uniform(t[a:b], dt) for a, b in itertools.pairwise(edges))
 
 
+def _even(t: Array) -> Array | None:
+    """Even times nearest to those of some rows (n,), of which each is less than half a step away; else None."""
+    if len(t) < 2:
+        return None
+    rows = np.arange(len(t), dtype=float)
+    slope, first = np.polyfit(rows, t - t[0], 1)
+    out = t[0] + first + slope * rows
+    return np.asarray(out) if np.abs(t - out).max() <= 0.5 * slope else None
+
+
 def mean_step(runs: Sequence[RawRun], about: float) -> float:
     """Mean step [s] of rows that are a few steps apart, `about` so long; a whole rate where it is one to 0.05 %."""
-    steps = np.concatenate([np.diff(run.t) for run in runs])
-    count = np.rint(steps / about)
-    near = (np.abs(steps / about - count) < _ROUNDED) & (count >= 1) & (count < GAP_STEPS)
-    if not near.any():
-        return about
-    mean = float(steps[near].sum() / count[near].sum())
+    lines = [_even(run.t) for run in runs]
+    if all(
+        line is not None for line in lines
+    ):  # no row is missing, and times may jitter by more than some steps
+        mean = sum(line[-1] - line[0] for line in lines if line is not None) / sum(
+            len(run.t) - 1 for run in runs
+        )
+    else:
+        steps = np.concatenate([np.diff(run.t) for run in runs])
+        count = np.rint(steps / about)
+        near = (np.abs(steps / about - count) < _ROUNDED) & (count >= 1) & (count < GAP_STEPS)
+        if not near.any():
+            return about
+        mean = float(steps[near].sum() / count[near].sum())
     whole = round(1.0 / mean)
     return round(1.0 / whole, 12) if whole and abs(mean * whole - 1.0) < _WHOLE_RATE else round(mean, 12)
 
@@ -229,8 +249,19 @@ def uniform(
             f"{run.label}: no two neighbouring rows are left within the gap limit; "
             "the recording is too sparse for the step. Raise `gap`, or set `dt` to its own step."
         )
-    regular = [is_uniform(run.t[a:b], dt) for a, b in whole]
     run.t = run.t.copy()
+    jitter = [_evenly(run, a, b, dt) for a, b in whole]
+    if any(jitter):
+        text = (
+            f"times are off an even step by up to {max(jitter) * 1e3:.2g} ms, and what was measured is not: it is "
+            "smoother over its rows than over its times"
+        )
+        report(
+            Finding(
+                "jittered_times", run.name, sum(j > 0 for j in jitter), text, "even", {"most_s": max(jitter)}
+            )
+        )
+    regular = [is_uniform(run.t[a:b], dt) for a, b in whole]
     for (a, b), same in zip(whole, regular, strict=True):
         if same and not np.allclose(np.diff(run.t[a:b]), dt, rtol=1e-6, atol=0.0):  # times that were rounded
             run.t[a:b] = run.t[a] + dt * np.arange(b - a)
@@ -256,6 +287,36 @@ def uniform(
         values = {"step_min_s": float(low), "step_max_s": float(high), "dropped_samples": missing}
         report(Finding("non_uniform_step", run.name, len(steps), text, "resampled", values))
     return joined(pieces)
+
+
+def _evenly(run: RawRun, a: int, b: int, dt: float) -> float:
+    """How far times of a segment [s] were off even ones, which they are now; 0 where they stay.
+
+    Where a computer notes when a row arrived, and a sensor measured in time, values are smoother over their rows than
+    over their times. On its times a ball on a table of which nothing was missing was `unexplained`.
+    """
+    even = None if b - a < _TO_JUDGE or is_uniform(run.t[a:b], dt) else _even(run.t[a:b])
+    if even is None:
+        return 0.0
+    most = float(np.abs(run.t[a:b] - even).max())
+    at_times, at_rows = (_roughness(t, run.x[a:b]) for t in (run.t[a:b], even))
+    moves = at_rows > 0
+    smoother = 0.5 * (b - a) * float(np.log(at_times[moves] / at_rows[moves]).sum())
+    if smoother < _SMOOTHER:
+        return 0.0
+    run.t[a:b] = even
+    return most
+
+
+def _roughness(t: Array, x: Array) -> Array:
+    """Mean squares (nx,) of what cubics through two rows before and two behind leave of each, of equal noise."""
+    near = np.stack([t[k : len(t) - 4 + k] for k in (0, 1, 3, 4)], 1) - t[2:-2, None]
+    weights = np.ones_like(near)  # of Lagrange's polynomials, at the row
+    for j, k in itertools.permutations(range(4), 2):
+        weights[:, j] *= near[:, k] / (near[:, k] - near[:, j])
+    rows = np.stack([x[k : len(x) - 4 + k] for k in (0, 1, 3, 4)], 1)
+    left = x[2:-2] - (weights[..., None] * rows).sum(1)
+    return np.asarray((left**2 / (1.0 + (weights**2).sum(1))[:, None]).mean(0))
 
 
 def is_longer(dt: float | None, own: float) -> bool:

@@ -13,6 +13,7 @@ from scipy.signal import lfilter
 import nsde_torch
 from nsde_torch.data import DataSet, Run
 from nsde_torch.data.raw import RawRun
+from nsde_torch.diagnosis.reading import cut_at
 from nsde_torch.diagnosis.stages import MOVING_ROWS
 from nsde_torch.diagnosis.text import lines
 from nsde_torch.errors import ConfigError
@@ -175,6 +176,12 @@ def test_wind_that_comes_and_goes_is_no_gust(tmp_path: Path) -> None:
     content = diagnosed_file(tmp_path / "wind", *runs)
     assert content["added"] == []
     assert content["data"]["moments"] == {}
+
+
+def test_runs_are_cut_where_the_times_of_two_moments_overlap() -> None:
+    run = Run("run", STEP * np.arange(600), np.zeros((600, 2)), np.zeros((600, 1)))
+    parts = cut_at([run], {"run": ((2.0, 2.4), (2.2, 2.6))})
+    assert [part.name for part in parts] == ["run before 2.00 s", "run from 2.60 s"]
 
 
 def test_one_run_is_not_held_against_others(tmp_path: Path) -> None:

@@ -226,3 +226,8 @@ def test_what_is_below_stays_and_what_is_above_goes() -> None:
     assert float((out[inner, 0] - slow[inner]).abs().max()) < 0.01
     assert float((out[inner, 1] - slow[inner]).abs().max()) < 0.02
     assert float(out[inner, 2].abs().max()) < 0.02
+
+
+def test_slopes_of_no_free_parameter_stay_below_a_band_too() -> None:
+    """A disk whose parameters all ended at bounds, behind a smoother, was a traceback of the Fourier transform."""
+    assert low_passed(torch.zeros(100, 2, 0), HZ, DT).shape == (100, 2, 0)

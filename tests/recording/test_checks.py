@@ -344,3 +344,21 @@ def test_the_chance_of_any_false_finding_is_alpha_whatever_is_there(true: set[st
         p = {stage: 0.0 if stage in true else rng.uniform() for stage in STAGES}
         wrong += bool(_found(p, alpha) - true)
     assert wrong / 4000 < alpha + 3 * np.sqrt(alpha * (1 - alpha) / 4000)
+
+
+@pytest.mark.parametrize("wrong", [True, False])
+def test_times_that_jitter_are_taken_for_even_where_the_rows_are(wrong: bool) -> None:
+    """A clock that notes when a row arrived, and a sensor that measures when it likes, log the same times."""
+    rng, dt, mean = np.random.default_rng(2), 0.02, 0.02 * np.arange(600)
+    times = mean + np.r_[0.0, rng.uniform(-0.003, 0.003, 598), 0.0]
+
+    def states(t: np.ndarray) -> np.ndarray:
+        return np.stack((np.sin(3.0 * t), 3.0 * np.cos(3.0 * t)), 1)
+
+    x = states(mean if wrong else times) + rng.normal(size=(600, 2)) * [0.0005, 0.005]
+    system = make_system("mass_spring_damper")
+    data = assemble([RawRun("a", times, x, np.zeros((600, 1)))], system, kind="test")
+    assert kinds(data)[:1] == ["jittered_times" if wrong else "non_uniform_step"]
+    assert data.dt == pytest.approx(dt, rel=1e-3)
+    # a row that was measured 3 ms later differs by 27 mm/s
+    assert np.abs(data[0].x[5:-5] - states(data[0].t[5:-5])).max() < (0.03 if wrong else 0.06)

@@ -128,4 +128,4 @@ def test_a_simpler_effect_starts_at_the_values_that_it_shares() -> None:
     )
     plain = simplified(system, "asymmetric_lag", "actuator_lag")
     assert "asymmetric_lag" not in plain.effect_names
-    assert float(effect_of(plain, "actuator_lag").value("time_constant")) == pytest.approx(0.08)
+    assert effect_of(plain, "actuator_lag").value("time_constant").item() == pytest.approx(0.08)

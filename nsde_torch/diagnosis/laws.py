@@ -3,7 +3,7 @@
     1, v^2, v^3, v^4, v^5, v, c1 + c2 v, |v|, |v| v, sign v,
     max(v - k, 0), min(v - k, 0) for zero and some k in the range of v,
     2 v k / (v^2 + k^2), which is largest at k,   what pulls to a place of no speed, d / k exp(1/2 - d^2 / (2 k^2)),
-    exp(k v) - 1 of no speed,   sin n v, cos n v of an angle,
+    sign(d) about a place, as a spring under preload has,   exp(k v) - 1 of no speed,   sin n v, cos n v of an angle,
     a b, a^2 b, a b^2, |a| b, a |b|, max(a, 0) b, min(a, 0) b,
     sin n a b, cos n a b, sin n a b^2, cos n a b^2 with an angle a and n = 1, 2,   planes c1 a + c2 b,
     a sign b, a^2 sign b, |a| sign b, sin n a sign b, cos n a sign b with a speed b, each also beside c1 sign b
@@ -127,6 +127,9 @@ def _of_one(name: str, v: Array, angle: bool, speed: bool) -> Iterator[LawTerm]:
     for knot, share in product(np.quantile(v, _PLACES), _PULLS) if not speed else ():
         start = ("k1", float(knot)), ("k2", share * float(np.ptp(v)))
         yield LawTerm((f"pull({name} - k1, k2)",), start)
+    # the spring of a throttle that rests under preload was a magnet, a ripple and two waves
+    for knot in np.quantile(v, _PLACES) if not speed else ():
+        yield LawTerm((f"sign({name} - k1, k2)",), (("k1", float(knot)), ("k2", _WIDTH * float(np.ptp(v)))))
     for turns in _TURNS if angle else ():
         inner = name if turns == 1 else f"{turns} {name}"
         yield from (LawTerm((f"sin({inner})",)), LawTerm((f"cos({inner})",)))

@@ -65,6 +65,27 @@ def test_a_product_that_no_catalogue_has_is_found_added_verified_and_written(tmp
     assert value == pytest.approx(content["parameters"][f"{LAW}.c1"]["value"], rel=1e-5)
 
 
+def test_a_spring_that_rests_under_preload_is_that() -> None:
+    """In a throttle it was a magnet, a ripple and two waves."""
+    law, rng, runs = "force = c1 sign(q - k1, k2)", np.random.default_rng(5), []
+    t = 0.02 * np.arange(600)
+    for run in range(2):
+        waves, phase = rng.uniform(0.3, 4.0, 5), rng.uniform(0.0, 6.3, 5)
+        u = 0.8 * np.sin(waves * t[:, None] + phase).sum(1)
+
+        def rates(at: float, x: np.ndarray, u: np.ndarray = u) -> list[float]:
+            force = u[min(int(at / 0.02 + 1e-9), len(u) - 1)]
+            return [x[1], force - 4.0 * x[0] - 0.5 * x[1] - 0.6 * np.tanh((x[0] - 0.12) / 0.01)]
+
+        x = solve_ivp(rates, (0.0, t[-1]), [0.1, 0.0], t_eval=t, max_step=0.005, rtol=1e-7).y.T
+        runs.append(RawRun(f"run_{run}", t, x + rng.normal(size=x.shape) * [0.001, 0.005], u[:, None]))
+    content = nsde_torch.diagnose(runs, system="mass_spring_damper", say=False).content()
+    assert content["added"] == [law]
+    assert "preload" in finding(content, law)["looks_like"]
+    assert held(content, f"{law}.c1", -0.6, slack=0.5)
+    assert held(content, f"{law}.k1", 0.12, slack=0.5)
+
+
 @pytest.mark.slow
 def test_a_law_that_explains_a_part_of_what_functions_do_is_not_named() -> None:
     most = Decisions(law_share=5.0)  # no law explains five times what functions do
@@ -145,6 +166,8 @@ def test_every_term_of_the_library_is_of_the_grammar_and_has_one_spelling() -> N
         ("cartpole", "torque = c1 x_dot theta_dot", -0.15, "a coupling of motions"),
         ("hexacopter", "body_moment[y] = c1 collective^2", 0.4, None),
         ("cartpole", "torque = c1 x", 0.4, "a spring that is not straight"),
+        ("cartpole", "force = c1 sign(x - k1, k2)", -0.4, "preload"),
+        ("cartpole", "force = c1 sign(x - k1, k2)", 0.4, None),
     ],
 )
 def test_what_a_law_looks_like_is_said_where_something_can_be_said(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -149,9 +150,11 @@ def without_it(finding: Mapping[str, Any], content: Content) -> str:
     if buys["channel"] is not None:
         change = f"{number(buys['error_with'])} to {number(buys['error_without'])}"
         parts.append(f"the residual of {buys['channel']} goes from {change}{with_space(buys['unit'])}")
-    if content["told"]["by"] == BY_STEPS:
-        way = "falls" if buys["nats"] >= 0 else "rises"
-        parts.append(f"the log-likelihood {way} by {number(round(abs(buys['nats']), 1))} nats")
+    # where physics diverge on runs left out their densities are no numbers
+    nats = buys["nats"]
+    if content["told"]["by"] == BY_STEPS and nats is not None and isfinite(nats):
+        way = "falls" if nats >= 0 else "rises"
+        parts.append(f"the log-likelihood {way} by {number(round(abs(nats), 1))} nats")
     share = f" ({buys['share']:.0%} of what all effects improve)" if 0 < buys["share"] < 1 else ""
     return f"without it, on {where}: {', '.join(parts)}{share}"
 

@@ -3,6 +3,8 @@
 from collections.abc import Collection, Mapping, Sequence
 from math import prod
 
+import numpy as np
+
 from nsde_torch.effects import EFFECTS, Effect, Law, Port, effect_class, register
 from nsde_torch.effects.expression import Expression
 from nsde_torch.effects.law import joined_name, split_name
@@ -163,9 +165,13 @@ def joined(system: System, name: str, start: Start) -> System:
 
 
 def simplified(system: System, name: str, simpler: str) -> System:
-    """The system with an effect in the place of one that contains it, at the values that they share."""
-    own, cls = values_of(effect_of(system, name)), effect_class(simpler)
-    values = {theirs: own[key] for key, theirs in effect_class(name).shared(cls).items()}
+    """The system with an effect in the place of one that contains it, at the values that they share.
+
+    One with a number for each run shares none with what has one for all.
+    """
+    own, plain = values_of(effect_of(system, name)), values_of(system.make_effect(simpler, {}))
+    shared = effect_class(name).shared(effect_class(simpler)).items()
+    values = {theirs: own[key] for key, theirs in shared if np.shape(own[key]) == np.shape(plain[theirs])}
     return joined(system.without_effects(name), simpler, values)
 
 

@@ -642,7 +642,7 @@ class JointSearch:
         """
         new = self.added(there.system) - self.added(place.system)
         nearer = self._tried(there.system.without_effects(*new), there)
-        if place.system.effect_names == nearer.system.effect_names:
+        if {*place.system.effect_names} == {*nearer.system.effect_names}:
             place = max(place, nearer, key=lambda f: f.best.likelihood)
         return all(self.needed(n, there, place) for n in new) and _surely_more(
             self.search, there.density - (last or place).density, place

@@ -710,11 +710,7 @@ def _of_place(
     if _calls(every, "pull"):
         return "what pulls to one place, or pushes away from it: a magnet, a detent"
     if _calls(every, "sign"):
-        return (
-            "a spring under preload, that pushes to one place from both sides"
-            if values[sizes[0]] < 0
-            else None
-        )
+        return "a spring under preload: it pushes to one place" if values[sizes[0]] < 0 else None
     hinge = _calls(every, "max", "min")
     if hinge is None:
         if _calls(every, "expm1"):

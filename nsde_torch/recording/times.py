@@ -169,13 +169,9 @@ def _even(t: Array) -> Array | None:
 
 def mean_step(runs: Sequence[RawRun], about: float) -> float:
     """Mean step [s] of rows that are a few steps apart, `about` so long; a whole rate where it is one to 0.05 %."""
-    lines = [_even(run.t) for run in runs]
-    if all(
-        line is not None for line in lines
-    ):  # no row is missing, and times may jitter by more than some steps
-        mean = sum(line[-1] - line[0] for line in lines if line is not None) / sum(
-            len(run.t) - 1 for run in runs
-        )
+    lines = [line for run in runs if (line := _even(run.t)) is not None]
+    if len(lines) == len(runs):  # no row is missing, and times may jitter by more than some steps
+        mean = sum(float(line[-1] - line[0]) for line in lines) / sum(len(line) - 1 for line in lines)
     else:
         steps = np.concatenate([np.diff(run.t) for run in runs])
         count = np.rint(steps / about)
@@ -256,11 +252,8 @@ def uniform(
             f"times are off an even step by up to {max(jitter) * 1e3:.2g} ms, and what was measured is not: it is "
             "smoother over its rows than over its times"
         )
-        report(
-            Finding(
-                "jittered_times", run.name, sum(j > 0 for j in jitter), text, "even", {"most_s": max(jitter)}
-            )
-        )
+        found = sum(j > 0 for j in jitter)
+        report(Finding("jittered_times", run.name, found, text, "even", {"most_s": max(jitter)}))
     regular = [is_uniform(run.t[a:b], dt) for a, b in whole]
     for (a, b), same in zip(whole, regular, strict=True):
         if same and not np.allclose(np.diff(run.t[a:b]), dt, rtol=1e-6, atol=0.0):  # times that were rounded
@@ -302,7 +295,7 @@ def _evenly(run: RawRun, a: int, b: int, dt: float) -> float:
     at_times, at_rows = (_roughness(t, run.x[a:b]) for t in (run.t[a:b], even))
     moves = at_rows > 0
     smoother = 0.5 * (b - a) * float(np.log(at_times[moves] / at_rows[moves]).sum())
-    if smoother < _SMOOTHER:
+    if not smoother > _SMOOTHER:
         return 0.0
     run.t[a:b] = even
     return most

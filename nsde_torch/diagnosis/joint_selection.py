@@ -535,6 +535,9 @@ class JointSearch:
             promised = share * proposal.nats
             if chosen is not None and promised < risen and self._promises_less(proposal, chosen):
                 continue
+            # what contains it is tried in the next round: of a flight's motors a lag up and down was exchanged for one
+            if chosen is not None and chosen.name in effect_class(proposal.name).includes:
+                continue
             there = self._fitted_to_the_end(proposal, place, risen)
             gained = there.best.likelihood - place.best.likelihood
             # else it is not what its step promised: a lag in the place of a delay (carts of seed 9002, case 11)

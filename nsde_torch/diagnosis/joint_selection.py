@@ -503,10 +503,8 @@ class JointSearch:
         that swings at 1.5 Hz was 0, beside which nothing that acts on inputs does anything. Which candidate it is, a
         part of a longer log tells.
         """
-        found, at = nearly_maximised(self._problem.of(given), turns=1)
-        begun = given.with_effects()
-        found.vector.write(begun, found.theta)
-        look = looked(self.search, FittedPhysics(begun, found, at), self._frequencies)[:_TRIED]
+        begun = fitted_at(self._problem.of(given), given, None, turns=1)
+        look = looked(self.search, begun, self._frequencies)[:_TRIED]
         first = [system for p in look for system in (p.system, p.begun)]
         for name in candidate_names(given, self.search.candidates):
             first += [joined(given, name, dict(values)) for values in effect_class(name).fitted_from]
@@ -902,10 +900,10 @@ class JointSearch:
 
 
 def fitted_at(
-    problem: LogLikelihood, system: System, near: Optimum | None, wanted: float = -inf
+    problem: LogLikelihood, system: System, near: Optimum | None, wanted: float = -inf, **limits: int
 ) -> FittedPhysics:
-    """A machine at the optimum of its likelihood."""
-    best, at = nearly_maximised(problem, near, wanted=wanted)
+    """A machine at the optimum of its likelihood, or as far as `limits` let it come (`turns`)."""
+    best, at = nearly_maximised(problem, near, wanted=wanted, **limits)
     out = system.with_effects()
     best.vector.write(out, best.theta)
     return FittedPhysics(out, best, at)

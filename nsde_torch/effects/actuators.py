@@ -430,9 +430,8 @@ class ActuatorResonance(Effect):
         "second-order actuator dynamics; Franklin, Powell, Emami-Naeini, Feedback Control of Dynamic Systems"
     )
     excludes = (Port.BODY_MOMENT,)  # motors follow by a lag
-    estimated = (
-        True  # it may swing as a recording begins: of a servo at 1.5 Hz a hidden mass did what that did
-    )
+    # it may move as a recording begins: of a servo at 1.5 Hz a hidden mass did what that did
+    estimated = True
     PARAMETERS = {
         "period": Parameter(0.2, "s", low=0.002, scale=0.1, help="natural, without damping"),
         "damping": Parameter(0.5, "1", low=0.005, high=1.0, scale=0.1, help="share of the critical one"),

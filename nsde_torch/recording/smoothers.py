@@ -18,7 +18,7 @@ place a cut-off at 6 of 100 Hz a quarter too high.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import log, pi
 from typing import Any
@@ -53,6 +53,7 @@ _AGREE = 0.1  # of the gain
 _SLOW = 1e-3  # of the rate of the log, at which a delay is read off the phase
 _SAME = 0.03  # deviance by which smoothers are alike
 _VANISHES, _RETURNS = 0.02, 0.05  # |S| at a zero, and between two
+_NO_WORSE = 0.1  # deviance that noise alone may be worse than noise and motion where no input moves
 _WIDEST = 75  # rows of the widest moving average or Savitzky-Golay filter
 
 
@@ -116,6 +117,12 @@ class Spectra:
     dt: float
     fine: Array  # frequencies (G,) that a bin sees more than one of [Hz]
     lobe: Array  # what the window lets each bin see of them (G, F); of a constant, that constant
+    moves: bool = True  # whether there may be motion, and not only noise
+
+    def above(self, f: float) -> "Spectra":
+        """The bins from a frequency [Hz] on."""
+        kept = self.f >= f
+        return replace(self, f=self.f[kept], power=self.power[:, kept], lobe=self.lobe[:, kept])
 
 
 @dataclass(frozen=True)
@@ -243,7 +250,8 @@ def fit(seen: Spectra, smoother: Smoother | None, *, steps: int = _LAST) -> Spec
     """Fit spectra behind a smoother; None for none."""
     gain = np.ones_like(seen.fine) if smoother is None else np.square(np.abs(smoother.response(seen.fine)))
     of_position = [2.0] if smoother is not None and smoother.family.differentiates else []
-    powers = [*(-1.0 * m for m in _POWERS), 0.0, *of_position]
+    motion = [-1.0 * m for m in _POWERS] if seen.moves else []
+    powers = [*motion, 0.0, *of_position]
     bin_hz, middle = seen.f[1] - seen.f[0], seen.f[len(seen.f) // 8]
 
     def shapes(f: Array) -> Array:
@@ -258,7 +266,7 @@ def fit(seen: Spectra, smoother: Smoother | None, *, steps: int = _LAST) -> Spec
         weights = weights * (((seen.power / model**2) @ base.T) / ((1.0 / model) @ base.T)) ** _DAMPED
     ratio = seen.power / (weights @ base)
     deviance = seen.windows * float((ratio - 1.0 - np.log(ratio)).mean())
-    m = len(_POWERS)
+    m = len(motion)
     return SpectrumFit(deviance, weights[:, :m] @ before[:m], weights[:, m:-1] @ before[m:], weights[:, -1])
 
 
@@ -315,6 +323,14 @@ def likeliest(seen: Spectra, *, rates: bool = False) -> Likely:
     as_good = [one for one in likely if one[0] < tried[0][0] + _SAME]
     deviance, best = next((one for one in as_good if not one[1].family.delays), likely[0])
     return Likely(best, deviance, tuple(other for _, other in likely if other is not best))
+
+
+def without_motion(seen: Sequence[Spectra]) -> list[Spectra]:
+    """Spectra above all that inputs do, as of noise alone where that is no worse behind the smoothers of each."""
+    alone = [replace(one, moves=False) for one in seen]
+    pairs = zip(alone, seen, strict=True)
+    enough = all(likeliest(a).deviance < likeliest(b).deviance + _NO_WORSE for a, b in pairs)
+    return alone if enough else list(seen)
 
 
 def _likeliest_of(family: Family, order: int, seen: Spectra) -> Smoother:

@@ -71,6 +71,11 @@ DEPTH, BEGINS = 1e-2, 0.9  # |S| down to which is restored; and at which noise i
 _NEAR, _FAR = 0.5, 1.0
 """Steps of the log by which a lateness may miss what smoothers make, and by which it must to speak against one."""
 _ROUNDED = 0.1  # share of rounding in what is left, up to which it is restored
+_OVER_DIGITS, _LEAKS = (
+    100.0,
+    1e-13,
+)  # power of an input over that of its digits, and over its largest: it moves
+_HALF = 0.22  # of a mean's width, as a share of the step at which |S| is 0.7
 _REFERENCE_S = 0.5  # standard deviation of the smooth attitude that rotations are measured from
 
 
@@ -127,6 +132,7 @@ class Smoothed:
 
     smoother: Smoother
     behind: tuple[SmoothedSensor, ...]
+    others: tuple[Smoother, ...] = ()  # behind which these spectra are nearly as likely
     by_response: bool = False  # whether it was found by what the inputs do, and not by what is left of noise
 
     def finding(self) -> Finding:
@@ -154,9 +160,12 @@ class Smoothed:
 def smoothed_states(runs: Sequence[Run], system: System, clock: float = 1.0) -> list[Smoothed]:
     """Sensors whose states were smoothed before they were logged, by smoother."""
     dt = runs[0].dt * clock
-    seen = _spectra(runs, system, dt)
+    driven = _driven_up_to(runs, system.nu, dt)
+    seen = {sensor: s.above(driven) for sensor, s in _spectra(runs, system, dt).items()}
     without = {sensor: smoothers.fit(s, None).deviance for sensor, s in seen.items()}
     odd = {sensor: s for sensor, s in seen.items() if without[sensor] > MISFIT}
+    if driven:
+        odd = dict(zip(odd, smoothers.without_motion([*odd.values()]), strict=True))
     out = []
     regression: Regression | None = None
     for sensors, likely in _by_smoother(odd) if odd else ():
@@ -177,9 +186,9 @@ def smoothed_states(runs: Sequence[Run], system: System, clock: float = 1.0) -> 
         begins, behind = smoother.falls_to(BEGINS), []
         for k, one in fits.items():
             sound = _off(one, odd[k]) < SOUND
-            reach = min(_reach(odd[k], one, smoother), likely.agree_to) if sound else 0.0
-            behind.append(SmoothedSensor(k, max(reach, begins), sound, one, odd[k]))
-        out.append(Smoothed(smoother, tuple(behind)))
+            reach = max(_reach(odd[k], one, smoother) if sound else 0.0, begins)
+            behind.append(SmoothedSensor(k, reach, sound, one, odd[k]))
+        out.append(Smoothed(smoother, tuple(behind), likely.others))
     return on_time(out, runs, system, clock)
 
 
@@ -249,6 +258,27 @@ def _spectra(runs: Sequence[Run], system: System, dt: float) -> dict[SensorGroup
     guessed = {name for run in runs for name in run.inferred}
     measured = [sensor for sensor in sensors_of(system) if not guessed & set(sensor.names)]
     return {sensor: s for sensor in measured if (s := group_spectra(sensor, runs, dt)) is not None}
+
+
+def _driven_up_to(runs: Sequence[Run], nu: int, dt: float) -> float:
+    """Frequency above which inputs hold nothing but their digits [Hz]; 0 where that is less than half of all.
+
+    A motion under inputs of a few waves ends where these do, at once, which no power of the frequency does: behind a
+    filter forwards and backwards at 12 Hz, a causal one at 6 Hz fitted a disk better
+    (tests/sysid/test_smoothed_states.py::test_a_motion_under_a_few_waves_does_not_hide_the_filter).
+    """
+    inputs = [np.asarray(run.u[a:b, :nu]) for run in runs for a, b in run.segments]
+    seen = smoothers.spectra_of(inputs, dt) if nu else None
+    if seen is None:
+        return 0.0
+    every = np.concatenate(inputs)
+    digits = np.array(
+        [np.square(grains(column)).min() / 6.0 * dt if np.ptp(column) else np.inf for column in every.T]
+    )
+    least = np.maximum(_OVER_DIGITS * digits, _LEAKS * seen.power.max(1))
+    driven = np.flatnonzero((seen.power > least[:, None]).any(0))
+    end = int(driven[-1]) + 1 if len(driven) else 0
+    return float(seen.f[end]) if 0 < end < len(seen.f) // 2 else 0.0
 
 
 def group_spectra(sensor: SensorGroup, runs: Sequence[Run], dt: float) -> Spectra | None:
@@ -496,31 +526,56 @@ def smoothers_of(
     held = not system.nu or held_over_rows(data.runs, system.nu)
     data = without_noise_about_levels(data, system)
     found = smoothed_states(data.runs, system, clock) if ask else []
-    found = [_on_time_or_late(one, data, system) for one in found]
+    found = [_on_time_by_physics(one, data, system) for one in found]
     if not held:
         data = as_they_act(data, system, restored(data, found).runs)
     return data, [*found, *(smoothed_by_response(data.runs, system, found, clock) if ask else ())]
 
 
-def _on_time_or_late(one: Smoothed, data: DataSet, system: System) -> Smoothed:
-    """A centred mean of an odd number of rows, or that of the past, whose |S| is the same: where physics says so.
+def _on_time_by_physics(one: Smoothed, data: DataSet, system: System) -> Smoothed:
+    """One smoother, on time or late as the physics says, restored up to where those that may be in its place agree.
 
-    Of two axes under steps of their forces, behind a mean of the last five rows, something with a memory was missing.
+    |S| of a centred mean of an odd number of rows is that of the mean of the past: the physics must choose. Of two axes
+    under steps of their forces, behind a mean of the last five rows, something with a memory was missing. Behind other
+    smoothers a delay may be the machine's: the physics only rules those out that would put the states too early.
     """
     smoother, past = one.smoother, next(f for f in smoothers.FAMILIES if f.name == smoothers.OF_THE_PAST)
-    if smoother.family.name != smoothers.CENTRED or smoother.size % 2 == 0:
-        return one
-    late = replace(one, smoother=replace(smoother, family=past))
-    values = []
-    for tried in (one, late):
-        fitted = rough_fit(system, restored(data, [tried]).runs, data.clock_scale)
-        if fitted is None:
-            return one
-        driven = sorted({channel for way in signals.directions(fitted) for channel in way.channels})
-        left, rows = fitted.physics.residual(fitted.theta)[:, driven], max(1, round(smoother.size / 2))
-        sums = fitted.single.summed(left, rows)
-        values.append(-0.5 * len(sums) * float(np.log(np.maximum(np.square(sums).mean(0), 1e-300)).sum()))
-    return late if values[1] > values[0] + NATS else one
+    dt = data.dt * data.clock_scale
+    late = [o for o in one.others if abs(o.delay - smoother.delay) > 0.5 * dt]
+    if smoother.family.name == smoothers.CENTRED and smoother.size % 2:
+        late = [replace(smoother, family=past), *late]
+    rows = max(1, round(_HALF / (smoother.falls_to(0.7) * dt)))
+    fitted = [
+        rough_fit(system, restored(data, [replace(one, smoother=o)]).runs, data.clock_scale) for o in late
+    ]
+    own = rough_fit(system, restored(data, [one]).runs, data.clock_scale) if late else None
+    others = list(one.others)
+    for other, fit in zip(late, fitted, strict=True):
+        if fit is None or own is None:
+            continue
+        (now, n), (then, m) = (_log_of_sums(some, rows) for some in (own, fit))
+        gain = 0.5 * min(n, m) * (now - then)
+        if other.family is past and gain > NATS:
+            smoother = other
+        elif other in others and gain < -NATS:
+            others.remove(other)
+    agree, begins = smoothers.Likely(smoother, 0.0, tuple(others)).agree_to, smoother.falls_to(BEGINS)
+    behind = []
+    for k in one.behind:
+        reach = max(min(k.reach, agree), begins) if k.restored else k.reach
+        whole = group_spectra(k.sensor, data.runs, dt) if reach < k.seen.f[0] else None
+        seen = whole or k.seen  # the noise above must be louder than what inputs move there
+        behind.append(
+            replace(k, reach=reach, fit=smoothers.fit(seen, smoother) if whole else k.fit, seen=seen)
+        )
+    return replace(one, smoother=smoother, behind=tuple(behind), others=tuple(others))
+
+
+def _log_of_sums(regression: Regression, rows: int) -> tuple[float, int]:
+    """Log mean squares of what is left of driven channels, summed over so many rows, and the number of these sums."""
+    driven = sorted({channel for way in signals.directions(regression) for channel in way.channels})
+    sums = regression.single.summed(regression.physics.residual(regression.theta)[:, driven], rows)
+    return float(np.log(np.maximum(np.square(sums).mean(0), 1e-300)).sum()), len(sums)
 
 
 def restored(data: DataSet, found: Sequence[Smoothed]) -> DataSet:

@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.linalg import expm
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import butter, lfilter, sosfiltfilt
 
@@ -141,3 +142,21 @@ def coarse(*, noisy: bool) -> list[RawRun]:
 @pytest.mark.parametrize("noisy", [True, False])
 def test_the_saw_of_an_encoder_and_a_rate_without_noise_are_no_smoother(noisy: bool) -> None:
     assert not told(read(coarse(noisy=noisy), system="mass_spring_damper"))
+
+
+def test_a_motion_under_a_few_waves_does_not_hide_the_filter() -> None:
+    rng, dt, rows, raw = np.random.default_rng(6), 0.005, 4000, []
+    both = expm(dt * np.array([[0.0, 1.0, 0.0], [-25.0, -1.5, 40.0], [0.0, 0.0, 0.0]]))
+    for name in ("a", "b", "c"):
+        t, size = dt * np.arange(rows), rng.uniform(0.5, 1.5, 6)
+        waves = np.sin(np.outer(t, 2.0 * np.pi * rng.uniform(0.5, 8.0, 6)) + rng.uniform(0.0, 6.0, 6))
+        u, x = np.round(waves @ size, 8), np.zeros((rows, 2))
+        for k in range(rows - 1):
+            x[k + 1] = both[:2, :2] @ x[k] + both[:2, 2] * u[k]
+        x += np.array([0.0015, 0.02]) * rng.standard_normal((rows, 2))
+        logged = np.asarray(sosfiltfilt(butter(2, 12.0, fs=1 / dt, output="sos"), x, axis=0))
+        raw.append(RawRun(name, t, np.round(logged, 10), u[:, None]))
+    (found,) = told(read(raw, system=SPRING))
+    assert (found["smoother"], found["order"]) == ("Butterworth filter forwards and backwards", 2)
+    assert float(str(found["half_power_hz"])) == pytest.approx(9.6, rel=0.05)
+    assert float(str(found["band_hz"])) > 20.0

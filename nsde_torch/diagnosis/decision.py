@@ -6,15 +6,16 @@ in noise, which is taken off first.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 from nsde_torch.arrays import Array
 from nsde_torch.diagnosis.candidates import variable_of
 from nsde_torch.diagnosis.ceiling import Ceiling
 from nsde_torch.diagnosis.cross_validation import LARGER, HeldOut
 from nsde_torch.diagnosis.decisions import DECISIONS, Decisions
-from nsde_torch.diagnosis.evidence import nats_by_channel
+from nsde_torch.diagnosis.evidence import joint_nats_by_channel, nats_by_channel
 from nsde_torch.diagnosis.feedback_bias import (
     FeedbackBiased,
     allowances,
@@ -67,16 +68,16 @@ def set_aside(search: Search, chosen: Outcome, log: Log) -> Outcome:
     that is not enough any more (of six racing flights, NeuroBEM, each takes 6 to 10 s).
     """
     base, joint, hidden = chosen.final, chosen.joint, list(chosen.hidden)
-    tested = log.loop(base)
     if joint is None:
-        return replace(chosen, test=tested)
+        return replace(chosen, test=log.loop(base))
+    tested = log.loop(base, joint.final)
     among = max(joint.candidates, 1)
     known: dict[str, dict[str, float]] = {}
     while joint.selected:
         lengths = lengths_of_parameters(tested, base)
         # by what it brings less than that: of several that all could be feedback the chance is 1, and of the drive of
         # `nsde benchmark emps` the frictions went before a force that brought nothing
-        weakest: tuple[float, str, Regression, tuple[str, ...]] | None = None
+        weakest: tuple[float, str, tuple[str, ...]] | None = None
         for name, one in joint.selected.items() if lengths else ():
             moved, allowed, count = _hidden(tested, lengths, base, name, cut=bool(log.moments))
             if not set(moved) & set(lengths):
@@ -84,23 +85,37 @@ def set_aside(search: Search, chosen: Outcome, log: Log) -> Outcome:
             enough = search.level("effects") / among
             if name in known and chance_beyond(known[name], moved, allowed, count) < enough:
                 continue
-            without = search.at(one.without)
-            nats = nats_by_channel(without, base)
+            nats = _brought(one.without, joint.final, base, partial(search.at, one.without))
             brought = known[name] = {channel: 2.0 * value for channel, value in nats.items()}
             if chance_beyond(brought, moved, allowed, count) < enough:
                 continue
             beyond = sum(brought[c] - allowed.get(c, 0.0) for c in moved)
             if weakest is None or beyond < weakest[0]:
-                weakest = (beyond, name, without, tuple(c for c in moved if c in allowed))
+                weakest = (beyond, name, tuple(c for c in moved if c in allowed))
         if weakest is None or log.shown(fitted_system(base), weakest[1]):
             break
-        _, name, base, channels = weakest
+        _, name, channels = weakest
         hidden.append(FeedbackBiased(name, channels))
         joint = _still_needed(search, joint.less(name))
         base = search.at(joint.final)
-        tested = log.loop(base)
+        tested = log.loop(base, joint.final)
     found = found_by(search, joint)
     return replace(chosen, final=base, found=found, joint=joint, hidden=tuple(hidden), test=tested)
+
+
+def _brought(
+    before: FittedPhysics, after: FittedPhysics, base: Regression, first: Callable[[], Regression]
+) -> dict[str, float]:
+    """What physics explain beyond others, by channel of the regression `base` at the former [nats]."""
+    names = [base.physics.names[c] for c in base.rows]
+    return joint_nats_by_channel(before, after, names) or nats_by_channel(first(), base)
+
+
+def _brought_by_all(outcome: Outcome) -> dict[str, float]:
+    """What an outcome's physics explain beyond the declared ones, by channel [nats]."""
+    if outcome.joint is None:
+        return nats_by_channel(outcome.declared, outcome.final)
+    return _brought(outcome.joint.declared, outcome.joint.final, outcome.final, lambda: outcome.declared)
 
 
 def _still_needed(search: Search, joint: JointSelection) -> JointSelection:
@@ -148,11 +163,11 @@ def _hidden(
 def feedback_made(search: Search, log: Log, before: FittedPhysics, after: FittedPhysics) -> bool:
     """Whether feedback may have made all that some effects brought, by which two physics differ: see `set_aside`."""
     base = search.at(after)
-    tested = log.loop(base)
+    tested = log.loop(base, after)
     lengths = lengths_of_parameters(tested, base)
     if not lengths:
         return False
-    nats = nats_by_channel(search.at(before), base)
+    nats = _brought(before, after, base, lambda: search.at(before))
     brought = {channel: 2.0 * value for channel, value in nats.items()}
 
     def made(name: str) -> bool:
@@ -181,7 +196,7 @@ def decide(search: Search, chosen: Outcome, alone: FittedPhysics | None = None) 
     left = [] if base.arithmetic else beyond_chance(after, allowed, alpha=levels["structure"])
     explained = 0.0 if joint is None else joint.final.best.likelihood - joint.declared.best.likelihood
     rest = max((d.excess for d in left), default=0.0)
-    brought = nats_by_channel(declared, base)
+    brought = _brought_by_all(chosen)
     found = [replace(f, moves=moved_channels(base, f.name)) for f in found]
     abrupt = abrupt_changes(declared, base, found, search.decisions)
     for i, f in enumerate(found):
@@ -245,7 +260,7 @@ def judged_by_the_ceiling(outcome: Outcome, found: Ceiling) -> Outcome:
         return outcome
     rest, decisions = found.left, outcome.decisions
     verdict: Verdict = "unexplained" if not outcome.found or rest > found.effects else outcome.verdict
-    brought = nats_by_channel(outcome.declared, outcome.final)
+    brought = _brought_by_all(outcome)
 
     def imitates(f: Found) -> str:
         own = sum(row.nats for row in found.rows if row.channels & {*f.moves})

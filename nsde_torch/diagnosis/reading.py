@@ -24,8 +24,9 @@ from nsde_torch.arrays import Array
 from nsde_torch.data import DataSet, Run
 from nsde_torch.diagnosis.candidates import candidate_names, check_candidates, on_coordinates
 from nsde_torch.diagnosis.decisions import Budgets, Decisions, Options
+from nsde_torch.diagnosis.evidence import joint_innovations
 from nsde_torch.diagnosis.feedback_bias import shown_by_instruments
-from nsde_torch.diagnosis.joint_selection import JointSelection
+from nsde_torch.diagnosis.joint_selection import FittedPhysics, JointSelection
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.search import Search, at_bounds, fitted_system
 from nsde_torch.diagnosis.stages import MOVING_ROWS, Begun, OptionalStages
@@ -101,13 +102,13 @@ class Log:
             physics, self.runs, clock=self.recorded.clock, instruments=self.options.instruments
         )
 
-    def loop(self, regression: Regression) -> FeedbackTest:
-        """What a regression that has settled says of the loop that the log was recorded in."""
+    def loop(self, regression: Regression, place: FittedPhysics | None = None) -> FeedbackTest:
+        """What a regression that has settled, at an optimum, says of the loop that the log was recorded in."""
         if self.recorded.inputs_restored:
             return FeedbackTest(why_not="the inputs were logged as an average and know the future")
         return self.stages.attempt(
             "the test of feedback",
-            lambda: tested(regression, self.runs),
+            lambda: tested(regression, self.runs, joint_innovations(place, regression) if place else {}),
             FeedbackTest(why_not="it could not be computed"),
         )
 

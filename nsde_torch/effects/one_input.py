@@ -71,7 +71,7 @@ class OnOneInput(Effect):
 @cache
 def on_input(effect: type[Effect], at: Input) -> type[Effect]:
     """The effect on one input alone, with its unit."""
-    units = {k: replace(p, unit=_in_unit(p.unit, at.unit)) for k, p in effect.PARAMETERS.items()}
+    units = {k: replace(p, unit=in_unit(p.unit, at.unit)) for k, p in effect.PARAMETERS.items()}
     own: dict[str, Any] = {
         "__module__": effect.__module__,
         "__qualname__": joined_name(effect.__qualname__, at.name),
@@ -90,7 +90,7 @@ def on_input(effect: type[Effect], at: Input) -> type[Effect]:
     return type(own["name"], (OnOneInput, effect), own)
 
 
-def _in_unit(unit: str, of_input: str) -> str:
+def in_unit(unit: str, of_input: str) -> str:
     """A unit with that of the input in place of `input`."""
     word, slash, rest = unit.partition("/")
     return f"{of_input}{slash}{rest}" if word == "input" and of_input != "input" else unit
@@ -98,4 +98,4 @@ def _in_unit(unit: str, of_input: str) -> str:
 
 def of_several_units(effect: type[Effect], units: Collection[str]) -> bool:
     """Whether an effect on all inputs has one number for inputs of several units."""
-    return len(set(units)) > 1 and any(_in_unit(p.unit, "") != p.unit for p in effect.PARAMETERS.values())
+    return len(set(units)) > 1 and any(in_unit(p.unit, "") != p.unit for p in effect.PARAMETERS.values())

@@ -424,6 +424,28 @@ class Optimum:
         return self._pass()[1]
 
     @cached_property
+    def innovations(self) -> Array:
+        """Innovations of each measured channel over their size, by step (N, m); 0 where none counts."""
+        at, chunks, out = (
+            self.at,
+            self.of.space.chunks,
+            np.zeros((len(self.of.space.steps), self.at.errors.shape[-1])),
+        )
+        size = at.errors[chunks.counted].square().mean(0).sqrt().clamp_min(1e-300)
+        live = chunks.counted[1:]  # that of a row is what the step before it brought
+        out[chunks.row[:-1][live].numpy()] = (at.errors[1:][live] / size).numpy()
+        return out
+
+    @cached_property
+    def by_channel(self) -> Array:
+        """Log likelihood of each measured channel given those before it (m,), but for a constant [nats]."""
+        at, live = self.at, self.of.space.chunks.counted
+        logs = at.whitening.diagonal(dim1=-2, dim2=-1).abs().clamp_min(1e-300).log()
+        every = torch.where(live[..., None], logs - 0.5 * at.white.square(), 0.0)
+        shown = every if self.of.space.measured is None else torch.where(self.of.space.measured, every, 0.0)
+        return np.asarray(shown.sum((0, 1)).numpy())
+
+    @cached_property
     def outlier_times(self) -> dict[int, list[float]]:
         """Logged times of rows with outliers, in order, by number of the run [s].
 

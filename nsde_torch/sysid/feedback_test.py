@@ -22,7 +22,7 @@ Beside these, of directions of the inputs (docs/content/theory/feedback.md):
 Assumed, not checked: logged inputs are those that were commanded; the step of the log is the step of the inputs.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from math import floor, log10
 from typing import Any
@@ -31,7 +31,7 @@ import numpy as np
 import torch
 from scipy.stats import chi2
 
-from nsde_torch.arrays import Array
+from nsde_torch.arrays import Array, Mask
 from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
 from nsde_torch.recording.noise import white
@@ -47,7 +47,10 @@ ALPHA = 0.01  # chance of a finding where there is none, for each of the tests
 _ANSWER_S, _ANSWERS = 0.2, 20  # how long after a disturbance an answer is looked for [s], [rows]
 _BINS = (1, 2, 3, 5, 9, 14, 21)  # rows between which it is summed up: an answer to what lasts is smooth
 _KNOWN_S, _KNOWN = 0.08, 8  # how long before a disturbance an input may have known of it
-_OWN = 10  # order of the inputs' own past
+_OWN = (*range(1, 21), 25, 30, 37, 45, 55, 70, 85, 100)
+"""Rows before whose inputs are their own past. What they did longer ago is in the states, and in what the physics lacks
+of them: by ten rows, of sines and steps, a car and two springs that nothing controls were in a closed loop."""
+_OF_A_RUN, _FEWEST_OWN = 0.25, 10  # share of a run, and rows, that the own past takes at most
 _STATES_BEFORE = (1, 2, 3, 5)  # rows whose states a controller may have made an input from
 _MADE = 0.02  # share of an input's innovation that past states predict, from which it was made from states
 _FOREKNOWN = 1e-6  # share of an input that is new: below, it is known beforehand and answers nothing
@@ -255,11 +258,14 @@ def feedback_summary(system: System, runs: Sequence[Run], clock: float = 1.0) ->
         regression.run(ITERATIONS)
     except (ConfigError, DataError, NonFiniteError) as error:
         return FeedbackTest(why_not=str(error).rstrip("."))
-    return tested(regression, runs)
+    return tested(regression, runs, {})
 
 
-def tested(regression: Regression, runs: Sequence[Run]) -> FeedbackTest:
-    """The test by a regression of runs that has settled, or why there is none."""
+def tested(regression: Regression, runs: Sequence[Run], innovations: Mapping[str, Array]) -> FeedbackTest:
+    """The test by a regression of runs that has settled, or why there is none.
+
+    By its own innovations, or those of the likelihood by channel and step (N,).
+    """
     system = regression.physics.vector.system
     why = _smoothed(runs, system.nu)
     if why:
@@ -281,16 +287,21 @@ def tested(regression: Regression, runs: Sequence[Run]) -> FeedbackTest:
     u = signals.spread_out(regression, signals.box_means(regression, u))
     driven = u @ np.stack([way.weights for way in ways], 1)
     among = signals.principal(u)
-    answers, together = _answers_of(regression, ways, driven, among, series)
+    errors = regression.white
+    if innovations:
+        values = np.stack([innovations[regression.physics.names[c]] for c in regression.rows], 1)
+        errors = signals.spread_out(regression, values).T
+    answers, together = _answers_of(regression, errors, ways, driven, among, series)
+    made, shares = _made_from_states(regression, ways, driven, among, series)
     return FeedbackTest(
         answers=answers,
         together=together,
-        knowledge=_knowledge_of(regression, ways, driven, series),
+        knowledge=_knowledge_of(regression, errors, ways, driven, series),
         new=_new_shares(regression, ways, driven, series),
         driven={way.name: tuple(regression.physics.names[c] for c in way.channels) for way in ways},
         rows=len(regression.series),
-        between=lengths(regression, ways),
-        made=_made_from_states(regression, ways, driven, among, series),
+        between=lengths(regression, ways, shares),
+        made=made,
         exact=_made_of_logged_rows(ways, runs, system.nu),
         still=still,
         smoothed=smoothed,
@@ -313,16 +324,18 @@ def _smoothed(runs: Sequence[Run], nu: int) -> str:
 
 def own_innovations(values: Array, among: Array, series: Series) -> Array:
     """What columns (N, n) hold that the past of `among` (N, m) does not predict, zero near starts."""
-    live, past = signals.late(series, _OWN), _past(among, series)
+    live, past = _past(among, series)
     out = np.zeros_like(values)
     out[live] = signals.without(values[live], past)
     return out
 
 
-def _past(among: Array, series: Series) -> Array:
-    """Orthonormal columns of the past of `among` (N, m) and a constant, of the rows that have one."""
-    past = series.lagged(among, range(1, _OWN + 1))
-    return signals.basis_of(np.column_stack((past, np.ones(len(past))))[signals.late(series, _OWN)])
+def _past(among: Array, series: Series) -> tuple[Mask, Array]:
+    """The rows that have a past, and orthonormal columns of that of `among` (N, m) and a constant."""
+    usual = float(np.median([b - a for a, b in series.edges]))
+    lags = [lag for lag in _OWN if lag <= max(_FEWEST_OWN, _OF_A_RUN * usual)]
+    live, past = signals.late(series, lags[-1]), series.lagged(among, lags)
+    return live, signals.basis_of(np.column_stack((past, np.ones(len(past))))[live])
 
 
 def _states(regression: Regression) -> Array:
@@ -334,16 +347,21 @@ def _states(regression: Regression) -> Array:
 
 
 def _answers_of(
-    regression: Regression, ways: Sequence[Direction], driven: Array, among: Array, series: Series
+    regression: Regression,
+    errors: Array,
+    ways: Sequence[Direction],
+    driven: Array,
+    among: Array,
+    series: Series,
 ) -> tuple[tuple[Answer, ...], float]:
     """Every answer, and the chance of all own ones together."""
     new = own_innovations(driven, among, series)
     rows = max(1, min(_ANSWERS, round(_ANSWER_S / regression.dt)))
-    live = signals.late(series, max(rows, _OWN))
+    live = _past(among, series)[0] & signals.late(series, rows)
     nothing = np.zeros((int(live.sum()), 0))
     of_channel = []
     for i in range(len(regression.rows)):
-        columns = series.lagged(regression.white[i][:, None], range(1, rows + 1))[live]
+        columns = series.lagged(errors[i][:, None], range(1, rows + 1))[live]
         scores = signals.score_tests(new[live], signals.binned(columns, _BINS), nothing)
         size = np.square(columns.T @ new[live]) / np.maximum(np.square(columns).sum(0), 1e-300)[:, None]
         of_channel.append((scores, size.cumsum(0)))
@@ -362,20 +380,30 @@ def _answers_of(
 
 def _made_from_states(
     regression: Regression, ways: Sequence[Direction], driven: Array, among: Array, series: Series
-) -> tuple[str, ...]:
-    """Names of directions that past states predict beyond the past of the inputs (Granger, Econometrica 37 (1969))."""
-    live, past = signals.late(series, _OWN), _past(among, series)
+) -> tuple[tuple[str, ...], list[float]]:
+    """Names of directions that past states predict beyond the past of the inputs (Granger, Econometrica 37 (1969)).
+
+    And the largest likely share of the innovation of each that they predict.
+    """
+    live, past = _past(among, series)
     new = signals.without(driven[live], past)
     columns = series.lagged(_states(regression), _STATES_BEFORE)[live]
     scores = signals.score_tests(new, columns, past)
     known = [signals.foreknown(new[:, j], driven[live, j], _FOREKNOWN) for j in range(len(ways))]
     found = [(1.0, 0.0) if k else score for k, score in zip(known, scores, strict=True)]
     chances = signals.holm([chance for chance, _ in found])
-    return tuple(
+    made = tuple(
         way.name
         for way, chance, (_, share) in zip(ways, chances, found, strict=True)
         if chance < ALPHA and share >= _MADE
     )
+    return made, [_upper(share, columns.shape[1], int(live.sum())) for _, share in found]
+
+
+def _upper(share: float, count: int, rows: int) -> float:
+    """Upper 95 % limit of a share of the variance of so many rows that so many columns predict."""
+    n = max(rows, 1)
+    return min(1.0, share + _UPPER * float(np.sqrt(2 * count + 4 * n * share)) / n)
 
 
 def _made_of_logged_rows(ways: Sequence[Direction], runs: Sequence[Run], nu: int) -> tuple[str, ...]:
@@ -385,7 +413,7 @@ def _made_of_logged_rows(ways: Sequence[Direction], runs: Sequence[Run], nu: int
     joints that follow steps they were 1 %, the controller was said to have had other sensors, and a coupling of 1.1
     rad/s2 was withheld as what inputs may know (tests/diagnosis/test_laws_beyond_the_catalogue.py).
     """
-    parts = [(run.x[a:b], run.u[a:b, :nu]) for run in runs for a, b in run.segments if b - a > _OWN]
+    parts = [(run.x[a:b], run.u[a:b, :nu]) for run in runs for a, b in run.segments if b - a > _FEWEST_OWN]
     if not parts:
         return ()
     x, before = (np.concatenate([own[2 - lag : len(own) - lag] for own, _ in parts]) for lag in (0, 1))
@@ -407,7 +435,7 @@ def _made_of_logged_rows(ways: Sequence[Direction], runs: Sequence[Run], nu: int
 
 
 def _knowledge_of(
-    regression: Regression, ways: Sequence[Direction], driven: Array, series: Series
+    regression: Regression, errors: Array, ways: Sequence[Direction], driven: Array, series: Series
 ) -> tuple[Answer, ...]:
     """What inputs at and before a step predict of the innovations of each channel that they drive."""
     rows = max(2, min(_KNOWN, round(_KNOWN_S / regression.dt)))
@@ -419,14 +447,10 @@ def _knowledge_of(
             i = [*regression.rows].index(channel)
             if i not in fitted:
                 fitted[i] = signals.basis_of(regression.fitted_columns(i)[live])
-            white = regression.white[i][live, None]
-            ((chance, share),) = signals.score_tests(white, columns, fitted[i])
+            ((chance, share),) = signals.score_tests(errors[i][live, None], columns, fitted[i])
             found.append(Answer(way.name, regression.physics.names[channel], share, chance))
-    n, count = max(int(live.sum()), 1), rows + 1
-    return tuple(
-        replace(a, upper=min(1.0, a.share + _UPPER * float(np.sqrt(2 * count + 4 * n * a.share)) / n))
-        for a in _adjusted(found)
-    )
+    n = int(live.sum())
+    return tuple(replace(a, upper=_upper(a.share, rows + 1, n)) for a in _adjusted(found))
 
 
 def _new_shares(
@@ -456,17 +480,24 @@ def _adjusted(found: Sequence[Answer]) -> tuple[Answer, ...]:
 # ---- between rows -----------------------------------------------------------------------------------------
 
 
-def lengths(regression: Regression, ways: Sequence[Direction]) -> dict[str, float]:
-    """What inputs do in whitened rows, times half of their change from row to row over all of their change."""
+def lengths(regression: Regression, ways: Sequence[Direction], made: Sequence[float]) -> dict[str, float]:
+    """What inputs do in whitened rows, times half of their change from row to row over all of their change.
+
+    Of that as much as states may have made: `FACTOR` times what they are seen to make of the innovation of inputs
+    (`made`, largest likely shares). Beside a dither that is most of an input a weak controller moves little: of a cart
+    behind one, 797 nats of a pole's dry friction counted as what feedback may hide
+    (tests/sysid/test_loop.py::test_a_weak_controller_beside_a_dither_hides_little).
+    """
     physics, known = regression.physics, [*regression.rows]
     u = np.asarray(physics.steps.u[:, : physics.vector.system.nu])
     later = np.ones(len(u), dtype=bool)
     later[[b - 1 for _, b in regression.single.edges]] = False
     at = np.flatnonzero(later)
     out: dict[str, float] = {}
-    for way in ways:
+    for way, most in zip(ways, made, strict=True):
         v = u @ way.weights
         share = 0.5 * float((v[at + 1] - v[at]).std() / max(float(v.std()), 1e-300))
+        share *= min(1.0, FACTOR * float(np.sqrt(most)))
         for channel, slope in zip(way.channels, way.slopes, strict=True):
             summed = regression.single.summed((v - v.mean())[:, None], regression.box)
             acts = slope * summed * physics.steps.dt

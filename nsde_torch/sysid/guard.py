@@ -5,7 +5,8 @@
     the first values     theta_0
     nothing              what was measured
 
-all judged by what they leave of the rates in these means, without the mean over each run. What decides which of them is
+all judged by what they leave of the rates in these means, without the mean over each run and beyond what the noise of
+measured states makes of it through the physics (`noise_through_physics`). What decides which of them is
 accepted, and the longer boxes that are tried where a noise model may have learned the physics, is in
 docs/content/theory/identification.md. "Surely" is one test of all parameters, d' (V + W)^-1 d for the difference d of
 two fits with covariances from blocks of time. Before come interpretations of the columns (`readings`), streams of
@@ -27,7 +28,7 @@ from nsde_torch.inference.estimate import ARITHMETIC
 from nsde_torch.sysid.physics import per_second
 from nsde_torch.sysid.readings import better_readings
 from nsde_torch.sysid.regression import Regression
-from nsde_torch.sysid.rough import Left, Objection, left_at, objection, rough_fit
+from nsde_torch.sysid.rough import Left, Objection, left_at, noise_through_physics, objection, rough_fit
 from nsde_torch.sysid.run_differences import odd_run, unexplained_runs
 from nsde_torch.sysid.timing import shifted_stream
 from nsde_torch.systems import System
@@ -147,11 +148,17 @@ def guarded(
     theta = regression.theta if theta is None else theta
     if rough is None or len(rough.theta) != len(theta):
         return Guarded()
-    fit, squares, begun = (left_at(rough, at) for at in (theta, rough.theta, vector.inside(first)))
+    places = theta, rough.theta, vector.inside(first)
+    fit, squares, begun = (left_at(rough, at) for at in places)
+    noises = np.stack([noise_through_physics(rough, at) for at in places], 1)
     channels = []
-    for c, s, f in zip(fit, squares, begun, strict=True):
+    for c, s, f, noise in zip(fit, squares, begun, noises, strict=True):
         smaller = s.predicted < LESS * c.predicted
-        left = c.left, s.left, f.left
+        of_fit, of_squares, of_first = (
+            max(one.left**2 - made**2, 0.0) ** 0.5
+            for one, made in zip((c, s, f), noise.tolist(), strict=True)
+        )
+        left = of_fit, of_squares, of_first
         channels.append(Compared(c.name, per_second(c.unit), c.measured, *left, smaller, s.noise))
     objections, notes = _faults(system, runs, clock, rough, regression)
     chance = _chance(rough, theta, covariance)

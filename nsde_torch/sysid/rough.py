@@ -132,6 +132,18 @@ def left_at(rough: Regression, theta: Array, *, damped: bool = False) -> list[Le
     return out
 
 
+def noise_through_physics(rough: Regression, theta: Array) -> Array:
+    """What the noise of measured states leaves in these means through the physics (channels,), root mean square.
+
+    Of white noise with standard deviations s_j as the differences of the residuals of the best fit have it,
+    sum_j <(d f_c / d x_j)^2> s_j^2 over the rows of a mean. Of a stiff tyre the right physics leaves more than wrong.
+    """
+    physics = copy.copy(rough.physics)
+    physics.estimate_sensors(physics.residual(rough.theta))
+    _, squares = physics.state_slopes(theta)
+    return np.sqrt(squares @ np.square(physics.sensor_std) / rough.box)[list(rough.rows)]
+
+
 def share_left(rough: Regression) -> float:
     """Sum over channels of log(left / measured) at the optimum, without unit: how much the physics leaves."""
     return sum(c.share for c in left_at(rough, rough.theta))

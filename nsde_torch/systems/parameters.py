@@ -17,6 +17,7 @@ from torch import Tensor
 
 from nsde_torch.arrays import Array
 from nsde_torch.effects import Effect, Parametrised, Port, effect_class
+from nsde_torch.effects.one_input import in_unit
 from nsde_torch.errors import ConfigError
 from nsde_torch.systems.base import System
 
@@ -24,6 +25,7 @@ from nsde_torch.systems.base import System
 _LONGEST = 10.0  # typical sizes of a parameter that one step may go
 InRun = dict[str, Callable[[Tensor], Tensor]]
 _BEYOND = 4.0  # times the grid of a shape, at which it does not matter any more
+_OUTSIDE = 1.5  # times the usual largest place: beyond, a place is in no data
 
 
 @dataclass(frozen=True)
@@ -78,13 +80,15 @@ class ParameterVector:
         rows: list[tuple[float, float, float, float, bool]] = []
         effects = [(f"{e.name}.", e) for e in self.system.effects if isinstance(e, Effect)]
         last = max((e.stage for _, e in effects if e.port is Port.INPUT and e.n_memory), default=0)
+        of_inputs = {*self.system.input_units}
+        of_input = of_inputs.pop() if len(of_inputs) == 1 else "input"
         for prefix, module in [("", self.system), *effects]:
             assert isinstance(module, Parametrised)
             followed = isinstance(module, Effect) and module.port is Port.INPUT and module.stage < last
             carries = isinstance(module, Effect) and (module.n_memory > 0 or followed)
             own: dict[str, slice] = {}
             for name, (value, unit) in module.declared_parameters().items():
-                k, spec = value.numel(), module.parameter(name)
+                k, spec, unit = value.numel(), module.parameter(name), in_unit(unit, of_input)
                 own[name] = slice(len(rows), len(rows) + k)
                 self.places.append(Place(prefix + name, unit, own[name]))
                 if isinstance(module, Effect) and spec.per_input and module.null.get(name) == 0.0:
@@ -170,9 +174,19 @@ class ParameterVector:
             if cls is None or own in cls.null or own not in cls.shapes:
                 continue
             kind, grid = cls.relative.get(own), np.asarray(cls.shapes[own], dtype=np.float64)
-            if (kind is not None and kind not in sizes) or not grid.size or grid.min() <= 0:
+            if (
+                (kind is not None and kind not in sizes)
+                or not grid.size
+                or (kind is None and grid.min() <= 0)
+            ):
                 continue
             size = 1.0 if kind is None else sizes[kind]
+            if (
+                grid.min() <= 0
+            ):  # places: beyond all of the data a stop at -113 m was a tilt and a damping of a cart
+                self.low[place.columns] = np.maximum(self.low[place.columns], -_OUTSIDE * size)
+                self.high[place.columns] = np.minimum(self.high[place.columns], _OUTSIDE * size)
+                continue
             least = size * grid.min() / _BEYOND
             # a pendulum that turns fast now and then is slow in most rows: without it its dry friction was surely 2 %
             # too large (tests/diagnosis/test_own_machines.py)

@@ -6,6 +6,7 @@ from typing import Any, cast
 import pytest
 
 from nsde_torch.diagnosis.decisions import Options
+from nsde_torch.diagnosis.evidence import joint_innovations, joint_nats_by_channel, nats_by_channel
 from nsde_torch.diagnosis.feedback_bias import (
     FeedbackBiased,
     allowances,
@@ -14,12 +15,13 @@ from nsde_torch.diagnosis.feedback_bias import (
     lengths_of_parameters,
     with_suspects,
 )
-from nsde_torch.diagnosis.joint_selection import JointSearch
+from nsde_torch.diagnosis.joint_selection import JointSearch, fitted_at
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.inference import LogLikelihood
-from nsde_torch.sysid.feedback_test import FACTOR, Answer, FeedbackTest, leaning
+from nsde_torch.sysid.feedback_test import FACTOR, Answer, FeedbackTest, leaning, tested
 from nsde_torch.systems import make_system
 from tests.helpers.diagnosed import recorded
+from tests.helpers.tyres import LAG, TRUTH, Tyre, drives
 from tests.inference.springs import linear_runs
 
 DRIVEN = {"the input of w_x": ("w_x",), "the input of w_z": ("w_z",)}
@@ -118,3 +120,20 @@ def test_a_lag_is_suspected_beside_what_was_found_without_it() -> None:
     assert with_suspects(replace(found, selected={}), search, system).suspected == ()
     found = replace(found, selected={"coulomb_friction": cast(Any, None)})
     assert set(with_suspects(found, search, system).suspected) & {"input_delay", "actuator_lag"}
+
+
+def test_noise_of_one_state_in_another_is_no_feedback() -> None:
+    data = drives(1)
+    alone = Tyre(values=TRUTH)
+    true = alone.with_effects(alone.make_effect("actuator_lag", LAG))
+    search = Search(alone, data.runs, 1.0, Options())
+    problem = LogLikelihood(alone, data.runs, run_in=True)
+    right, wrong = (fitted_at(problem.of(system), system, None) for system in (true, alone))
+    regression = search.at(right)
+    innovations = joint_innovations(right, regression)
+    assert tested(regression, data.runs, {}).predictive
+    assert not tested(regression, data.runs, innovations).predictive
+    gained = joint_nats_by_channel(wrong, right, ["v", "rim"])
+    assert gained["rim"] > 50.0
+    assert sum(gained.values()) == pytest.approx(right.best.likelihood - wrong.best.likelihood, rel=0.02)
+    assert nats_by_channel(search.at(wrong), regression)["rim"] < 0.0

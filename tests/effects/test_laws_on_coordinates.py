@@ -24,6 +24,7 @@ from nsde_torch.effects import (
 from nsde_torch.errors import ConfigError
 from nsde_torch.systems import ResidualPort, System, make_system, system_class
 from nsde_torch.systems.coordinates import check_pushes
+from nsde_torch.systems.parameters import ParameterVector
 from tests.helpers.effect_contract import EffectContract, contract
 from tests.helpers.effect_rows import term
 from tests.helpers.two_joints import HOME, TwoJoints
@@ -381,3 +382,11 @@ def test_machines_with_one_input_and_rotors_have_none() -> None:
 def test_a_name_that_is_no_input_is_refused(name: str, said: str) -> None:
     with pytest.raises(ConfigError, match=said):
         make_system(HOME).make_effect(name)
+
+
+def test_a_stop_begins_where_the_data_are() -> None:
+    system = make_system("mass_spring_damper", effects=["stop_above"])
+    vector = ParameterVector(system)
+    vector.limit({"position": 2.0})
+    (end,) = (j for j, label in enumerate(vector.labels) if label == "stop_above.end")
+    assert (vector.low[end], vector.high[end]) == (-3.0, 3.0)

@@ -11,12 +11,13 @@ import pytest
 
 import nsde_torch
 from nsde_torch.data import DataSet, RawRun
-from nsde_torch.sysid.guard import Guarded, _gone
+from nsde_torch.sysid.guard import Guarded, _gone, guarded
 from nsde_torch.sysid.identify import identify_in_loop
 from nsde_torch.sysid.readings import better_readings
 from nsde_torch.sysid.rough import left_at, rough_fit
 from nsde_torch.sysid.timing import Shifted
 from nsde_torch.systems import make_system
+from tests.helpers.tyres import LAG_S, TRUTH, Tyre, drives
 
 Change = Callable[[int, RawRun], None]
 Table = np.ndarray
@@ -232,3 +233,14 @@ def test_a_gain_that_has_surely_gone_and_with_it_all_that_was_explained_is_told(
     gone = _gone(rough, theta, covariance, left)
     assert (gone is not None) == told
     assert gone is None or ("nothing of w_x and" in gone.sentence and "roll_gain" in gone.sentence)
+
+
+def test_noise_of_states_that_a_stiff_machine_amplifies_speaks_not_against_its_fit() -> None:
+    # with a lag that is declared: means over 0.15 s of a slip that is mostly noise fit wrong gains better
+    system, data = Tyre(effects=["actuator_lag"]), drives(2)
+    rough = rough_fit(system, data.runs)
+    assert rough is not None
+    true = np.array([TRUTH.get(label, LAG_S) for label in rough.physics.vector.labels])
+    left = {c.name: c.left for c in left_at(rough, true)}
+    assert left["rim"] > 1.3 * next(c.left for c in left_at(rough, rough.theta) if c.name == "rim")
+    assert guarded(rough, data.runs, theta=true).objections == ()

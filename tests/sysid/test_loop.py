@@ -8,11 +8,12 @@ import pytest
 
 from nsde_torch.data import Run
 from nsde_torch.errors import DataError
-from nsde_torch.sysid.feedback_test import feedback_summary
+from nsde_torch.sysid.feedback_test import feedback_summary, lengths
 from nsde_torch.sysid.identify import identify_in_loop
 from nsde_torch.sysid.instruments import adopted
+from nsde_torch.sysid.regression import ITERATIONS, regression_of
 from nsde_torch.sysid.result import Identification
-from nsde_torch.sysid.signals import score_tests
+from nsde_torch.sysid.signals import directions, score_tests
 from tests.helpers.rate_loops import CONTROLLERS, GAIN, RateLoop, fly
 
 SEEDS = range(1)
@@ -141,3 +142,37 @@ def test_chances_of_the_score_test_are_even_where_nothing_predicts_anything() ->
     e = rng.standard_normal((500, 1)) + 0.3 * fitted[:, :1] * 500**0.5
     assert score_tests(e, fitted[:, :1], np.zeros((500, 0)))[0][0] < 1e-6
     assert score_tests(e, fitted[:, :1], fitted)[0][0] == 1.0
+
+
+def _dithered(seed: int, *, gain: float) -> list[Run]:
+    """A rate under sines and steps, and a controller with a gyroscope of its own; damping and drag are missing."""
+    rng, dt, rows, out = np.random.default_rng(seed), 0.01, 4000, []
+    for name in ("a", "b", "c"):
+        t = dt * np.arange(rows)
+        waves = np.sin(np.outer(t, 2.0 * np.pi * rng.uniform(0.05, 2.0, 7)) + rng.uniform(0.0, 6.0, 7)).sum(1)
+        dither = 0.1 * waves + 0.1 * np.repeat(rng.standard_normal(rows // 28 + 1), 28)[:rows]
+        x, u = np.zeros((rows, 2)), np.zeros(rows)
+        for k in range(rows):
+            u[k] = dither[k] - gain * (x[k, 1] + 0.02 * rng.standard_normal())
+            if k + 1 < rows:
+                push = (
+                    GAIN * u[k] - 4.0 * x[k, 1] - 2.0 * x[k, 1] * abs(x[k, 1]) + 5.0 * rng.standard_normal()
+                )
+                x[k + 1] = x[k, 0] + dt * x[k, 1] + 0.5 * dt**2 * push, x[k, 1] + dt * push
+        seen = x + np.array([0.003, 0.02]) * rng.standard_normal(x.shape)
+        out.append(Run(name, t, seen, u[:, None], ((0, rows),)))
+    return out
+
+
+def test_a_weak_controller_beside_a_dither_hides_little() -> None:
+    regression = regression_of(RateLoop(), _dithered(3, gain=0.05))
+    regression.run(ITERATIONS)
+    ways = directions(regression)
+    whole, little = (lengths(regression, ways, [share])["rate"] for share in (1.0, 1e-4))
+    assert little == pytest.approx(0.03 * whole)
+    assert feedback_summary(RateLoop(), _dithered(3, gain=0.05)).between["rate"] < 0.9 * whole
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_sines_and_steps_that_nothing_controls_are_an_open_loop_whatever_is_missing(seed: int) -> None:
+    assert not feedback_summary(RateLoop(), _dithered(seed, gain=0.0)).closed

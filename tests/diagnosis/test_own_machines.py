@@ -16,7 +16,7 @@ from torch import Tensor
 import nsde_torch
 from nsde_torch.arrays import Array
 from nsde_torch.data import RawRun
-from nsde_torch.diagnosis.candidates import why_not, without_motion
+from nsde_torch.diagnosis.candidates import why_not
 from nsde_torch.effects import Coordinate, Parameter, Port
 from nsde_torch.systems import Defaults, ResidualPort, System, make_system
 from tests.helpers.diagnosed import assert_interval
@@ -48,24 +48,6 @@ class Car(System):
     def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
         pushed = self.value("engine") * u - self.value("rolling")
         return pushed + forces.get(Port.FORCE, torch.zeros_like(x))
-
-
-@final
-class Tank(System):
-    """The level of a tank, with no coordinate."""
-
-    name = "tank"
-    state_names, state_units = ("level",), ("m",)
-    input_names, input_units = ("valve",), ("1",)
-    ports = {Port.FORCE: 1}
-    residual_ports = {Port.FORCE: ResidualPort(1, 0.01, "m/s")}
-    sensor_noise = True
-    defaults = Defaults(0.2, 20, (0.002,), 0.1, 1.0, "euler_maruyama")
-    PARAMETERS = {"inflow": Parameter(0.05, "m/s", low=0.0), "outflow": Parameter(0.04, "m^0.5/s", low=0.0)}
-
-    def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
-        flow = self.value("inflow") * u - self.value("outflow") * x.clamp_min(1e-6).sqrt()
-        return flow + forces.get(Port.FORCE, torch.zeros_like(x))
 
 
 @final
@@ -307,11 +289,6 @@ def test_what_a_motor_that_turns_one_way_cannot_tell_is_a_tie() -> None:
     ends = [p["interval_90"] for name, p in content["parameters"].items() if name.startswith(differs)]
     assert content["parameters"][f"{differs}.change[0]"]["against"].startswith("run_0")
     assert max(abs(low + high) / 2 for low, high in ends) == pytest.approx(0.2, abs=0.02)
-
-
-def test_a_machine_of_levels_has_effects_of_stores_and_no_word_on_friction() -> None:
-    assert "exchange" in Tank.able_effects()
-    assert without_motion(Tank()) == ("", "")
 
 
 class Lift(System):

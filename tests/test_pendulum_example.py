@@ -15,7 +15,6 @@ from torch import Tensor
 import nsde_torch
 from nsde_torch.recording import read
 from nsde_torch.systems import System, make_system
-from tests.helpers.diagnosed import assert_interval
 from tests.helpers.system_contract import SystemContract, solve
 
 
@@ -67,16 +66,6 @@ def test_the_data_are_read_without_a_complaint(data_folder: Path) -> None:
     assert [f.kind for f in data.summary.findings] == []
     x = np.concatenate([r.x for r in data.runs])
     assert np.abs(x[:, 0]).max() > 1.0  # the swings are large enough to show sin theta
-
-
-@pytest.mark.slow
-def test_its_dry_friction_is_named_from_the_catalogue(data_folder: Path) -> None:
-    data = nsde_torch.read(data_folder, system="pendulum:Pendulum")
-    laws = ["coulomb_friction", "quadratic_damping", "constant_force", "ripple"]
-    found = nsde_torch.diagnose(data, system="pendulum:Pendulum", candidates=laws)
-    assert found.added == ["coulomb_friction"]
-    assert found.parameters["coulomb_friction.size"]["unit"] == "rad/s2"
-    assert_interval(found.parameters, "coulomb_friction.size", 0.6)
 
 
 @pytest.mark.slow

@@ -185,28 +185,6 @@ def test_a_newcomer_gets_from_files_to_a_named_effect(
     assert "coulomb_friction" in nsde_torch.load("model").system.effect_names
 
 
-@pytest.mark.parametrize("kept", [True, False])
-def test_a_training_names_a_folder_that_it_wrote_and_no_other(kept: bool, runs: Path, tmp_path: Path) -> None:
-    said: list[str] = []
-    folder = tmp_path / "run" if kept else None
-    nsde_torch.train(runs, system=SYSTEM, model="sysid", run_dir=folder, say=said.append)
-    assert said[-1].strip().startswith("took ")
-    assert (f"wrote {folder}" in said[-1]) == kept == ("wrote" in said[-1])
-
-
-@pytest.mark.parametrize(
-    ("candidate", "why"),
-    [
-        ("linear_spring", "declared already"),
-        ("propeller_drag", "does not list"),
-        ("linear_drag", "cannot have"),
-    ],
-)
-def test_a_candidate_that_cannot_be_one_is_refused_before_anything_is_read(candidate: str, why: str) -> None:
-    with pytest.raises(ConfigError, match=why):
-        nsde_torch.diagnose("nowhere", system=SYSTEM, candidates=[candidate])
-
-
 def test_a_training_that_is_stopped_once_the_model_is_fitted_returns_it(
     runs: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

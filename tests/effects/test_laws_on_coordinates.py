@@ -369,15 +369,3 @@ def test_machines_with_one_input_and_rotors_have_none() -> None:
     for system in ("cartpole", "hexacopter"):
         names = system_class(system).able_effects()
         assert not [n for n in names if n.partition("[")[0] in EACH and "[" in n]
-
-
-@pytest.mark.parametrize(
-    ("name", "said"),
-    [
-        ("actuator_lag[tau3]", "'tau3' is no input"),
-        ("actuator_efficiency_loss[tau1]", "no law of one coordinate"),
-    ],
-)
-def test_a_name_that_is_no_input_is_refused(name: str, said: str) -> None:
-    with pytest.raises(ConfigError, match=said):
-        make_system(HOME).make_effect(name)

@@ -1,7 +1,6 @@
 """The controller in C: built without a warning, equal to the one in Python, or refused with the reason."""
 
 import functools
-import json
 import math
 import shutil
 import subprocess
@@ -134,14 +133,6 @@ def test_a_step_and_its_slopes_are_those_of_torch_whatever_the_effect(effect: st
     )
     assert torch.allclose(slopes, exact, atol=1e-11)
     assert sum(map(len, rows)) < 0.9 * slopes.numel()
-
-
-def test_a_model_with_such_an_operation_is_refused_with_the_form_that_takes_it(
-    declared: System, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.delitem(scalar._RULES, "mul")  # type: ignore[arg-type]
-    with pytest.raises(ExportError, match=r"torch's mul, .*format=torchscript"):
-        _written(declared, tmp_path / "controller.c")
 
 
 def _with_branches(x: Tensor) -> tuple[Tensor, ...]:
@@ -316,20 +307,3 @@ def test_whatever_it_is_given_an_answer_is_finite_and_within_bounds(file: Path, 
     verify.attack(ExportedController(file), path, 400, out)
     assert out.adversarial == 400
     assert not out.unsafe
-
-
-@needs_compiler
-@pytest.mark.slow
-def test_the_process_around_it_is_small(
-    declared: System, path: Reference, tmp_path: Path, root: Path
-) -> None:
-    _written(declared, tmp_path / "controller.c", horizon=1.0, steps=20)
-    samples = verify.along(ExportedController(tmp_path / "controller.c"), path, 50, period=0.02)
-    torch.cat([torch.cat((x[None], ref)).flatten() for x, ref in samples]).numpy().tofile(
-        tmp_path / "samples.bin"
-    )
-    source, driver = str(root / "benchmarks" / "bench_export_c.c"), str(tmp_path / "driver")
-    parts = (f"-I{tmp_path}", source, str(tmp_path / "controller.c"))
-    _run(str(compiler()), "-std=c99", "-O2", *parts, "-o", driver, "-lm")
-    ran = _run(driver, str(tmp_path / "samples.bin"), "50", "0.02")
-    assert json.loads(ran)["memory_mb"] < 5.0

@@ -2,17 +2,15 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import pytest
 import torch
 from torch import Tensor
 
-from nsde_torch.errors import ConfigError, NonFiniteError, NsdeError, ShapeError
+from nsde_torch.errors import NonFiniteError, NsdeError, ShapeError
 from nsde_torch.models import NeuralSDE, SDESpec
 from nsde_torch.models.ensemble import Chart
-from nsde_torch.sde import brownian
 from nsde_torch.sde.derivative import diffusion_and_slope
 from nsde_torch.systems import make_system
 from tests.helpers.draws import generator
@@ -203,11 +201,6 @@ def test_no_physics_is_left_in_the_drift() -> None:
     assert not any(p.requires_grad for p in model.system.parameters())
 
 
-def test_effects_are_refused() -> None:
-    with pytest.raises(ConfigError, match=r"system\.effects"):
-        black_box(replace(BLACK, effects=("constant_force",)))
-
-
 def alike(name: str, n: int = 64, seed: int = 0) -> torch.Tensor:
     system = make_system(name)
     x = torch.randn(n, system.nx, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
@@ -294,58 +287,3 @@ def test_predicted_measurements_carry_sensor_noise_at_the_start_and_at_every_lat
     late = out[:, 0, 19:, 0] - out[:, 0, 19:, 0].mean(0)
     shared = 0.2**2 * (1 - DT) ** 39  # only the start's noise is shared by neighbours
     assert float((late[:, 0] * late[:, 1]).mean()) == pytest.approx(shared, abs=0.002)
-
-
-EFFECTS = ("linear_drag", "angular_damping", "motor_lag")
-LEARNED = {"measurement": True, "disturbance": True, "effects": EFFECTS}
-COMPILED = SDESpec("hexacopter", dt=0.05, horizon=5, step="milstein", **LEARNED)
-
-
-def model(seed: int, kind: str) -> NeuralSDE:
-    spec = SDESpec.from_dict({**COMPILED.as_dict(), "loss": kind})
-    return NeuralSDE(spec, generator=torch.Generator().manual_seed(seed))
-
-
-def paths(sde: NeuralSDE, batch: int, *, compile: bool) -> Tensor:
-    g = torch.Generator().manual_seed(batch)
-    x0 = 0.3 * torch.randn(batch, 13, generator=g)
-    x0[:, 6] = 3.0
-    x0 = sde.project(x0)
-    u = 0.4 + 0.05 * torch.randn(batch, 5, 6, generator=g)
-    noise = brownian(2, batch, 5, sde.nz, dt=0.05, generator=g)
-    start = torch.randn(2, batch, sde.n_start, generator=g)
-    given = {"noise": noise, "start": start, "std": sde.measurement_std, "t0": torch.zeros(batch)}
-    return sde.paths(x0, u, dt=0.05, compile=compile, **given)
-
-
-def gradients(sde: NeuralSDE, batch: int, *, compile: bool) -> dict[str, Tensor]:
-    sde.zero_grad()
-    path = paths(sde, batch, compile=compile)
-    path[:, :, 1:].square().mean().backward()
-    found = {name: p.grad.clone() for name, p in sde.named_parameters() if p.grad is not None}
-    return {"path": path.detach(), **found}
-
-
-@pytest.mark.usefixtures("compiler")
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["replay", "paper"])
-def test_compiled_hexacopter_gives_the_eager_paths_and_gradients(kind: str) -> None:
-    sde = model(0, kind)
-    fast, slow = gradients(sde, 7, compile=True), gradients(sde, 7, compile=False)
-    assert fast.keys() == slow.keys()
-    some = {"h.slope", "log_tau", "system.raw.yaw_gain", "residuals.body_moment.layers.0.weight"}
-    assert some <= fast.keys()
-    for name, value in slow.items():
-        scale = float(value.abs().max())
-        assert torch.allclose(fast[name], value, rtol=1e-4, atol=2e-5 * max(scale, 1e-3)), name
-    if kind == "paper":
-        return
-    other = model(1, kind)
-    with torch.no_grad():
-        paths(sde, 6, compile=True)
-    with torch._dynamo.config.patch(error_on_recompile=True):
-        fast = gradients(other, 7, compile=True)
-        assert torch.allclose(fast["path"], gradients(other, 7, compile=False)["path"], atol=1e-5)
-        with torch.no_grad():
-            path = paths(other, 3, compile=True)
-    assert torch.allclose(path, paths(other, 3, compile=False), atol=1e-5)

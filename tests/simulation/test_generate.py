@@ -123,19 +123,3 @@ def test_nothing_is_written_over(tmp_path: Path) -> None:
     assert [p.name for p in (tmp_path / "data").iterdir()] == ["run_0.csv"]
     with pytest.raises(ConfigError, match="outside"):
         write(made, tmp_path / "other", truth=tmp_path / "other" / "truth.json")
-
-
-@pytest.mark.parametrize(
-    ("settings", "word"),
-    [
-        ({"effects": ["friction"]}, "friction"),
-        ({"parameters": {"coulomb_friction.size": 1.0}}, "coulomb_friction"),
-        ({"durations": []}, "durations"),
-        ({"dt": -1.0}, "dt"),
-        ({"seed": -1}, "seed"),
-        ({"options": {"forse": "zero"}}, "forse"),
-    ],
-)
-def test_what_cannot_be_simulated_is_named(settings: dict[str, Any], word: str) -> None:
-    with pytest.raises(ConfigError, match=word):
-        short("mass_spring_damper", **settings)

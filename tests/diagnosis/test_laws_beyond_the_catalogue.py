@@ -112,16 +112,6 @@ def test_laws_are_tried_neither_beside_named_candidates_nor_where_the_budget_has
     assert all(f["lead"] and f["kind"] != "formula" for f in content["findings"])
 
 
-def test_what_has_one_sign_has_no_size_and_no_side() -> None:
-    rng = np.random.default_rng(0)
-    values = {"u": 1.0 + rng.normal(size=2000).clip(-3.0) / 2.9, "v": rng.normal(size=2000)}
-    parts = [part for term in terms_of(["u", "v"], values, []) for part in term.parts]
-    assert "u v" in parts
-    assert "u abs(v)" in parts
-    assert "abs(v) v" in parts
-    assert not [part for part in parts if "abs(u)" in part or "max(u, 0)" in part or "min(u, 0)" in part]
-
-
 def test_every_term_of_the_library_is_of_the_grammar_and_has_one_spelling() -> None:
     rng = np.random.default_rng(0)
     names = ["theta", "theta_dot", "x_dot"]

@@ -17,7 +17,6 @@ import torch
 import nsde_torch
 from nsde_torch.cli.main import main
 from nsde_torch.data import DataSet, RawRun
-from nsde_torch.effects import Effect
 from nsde_torch.errors import ConfigError, DataError, ShapeError
 from nsde_torch.evaluation.comparison import Comparison
 from nsde_torch.models import Model, SDESpec, make_model
@@ -40,7 +39,9 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("name", ["diagnose", "evaluate", "read", "simulate", "train"])
+@pytest.mark.parametrize(
+    "name", [pytest.param("diagnose", marks=pytest.mark.slow), "evaluate", "read", "simulate", "train"]
+)
 def test_the_example_of_a_function_runs(name: str) -> None:
     function = getattr(nsde_torch, name)
     found = doctest.DocTestFinder(recurse=False).find(function, name, globs={"simulate": nsde_torch.simulate})
@@ -152,16 +153,6 @@ def test_data_come_from_folders_simulations_and_arrays(runs: Path) -> None:
 def test_a_wrong_choice_is_named(given: dict[str, Any], named: str, runs: Path) -> None:
     with pytest.raises(ConfigError, match=named):
         nsde_torch.train(runs, system=SYSTEM, say=silent, **given)
-
-
-def test_a_system_of_ones_own_is_given_as_a_class(runs: Path) -> None:
-    class Own(nsde_torch.System):  # type: ignore[misc]
-        """Not found by name: it lies inside a function."""
-
-    with pytest.raises(ConfigError, match="Own"):
-        nsde_torch.diagnose(runs, system=Own)
-    assert issubclass(MassSpringDamper, nsde_torch.System)
-    assert nsde_torch.Effect is Effect
 
 
 @pytest.mark.slow

@@ -73,13 +73,6 @@ def test_a_system_is_simulated_as_it_says(runs: Simulation) -> None:
     assert quiet.runs[0].u.std() < 0.5
 
 
-@pytest.mark.slow
-def test_a_system_is_diagnosed(runs: Simulation) -> None:
-    found = nsde_torch.diagnose(runs, system=RAIL, candidates=["coulomb_friction", "quadratic_damping"])
-    assert found.added == ["coulomb_friction"]
-    assert found.parameters["coulomb_friction.size"]["value"] == pytest.approx(0.6, rel=0.05)
-
-
 def test_a_system_without_a_machine_is_not_simulated() -> None:
     with pytest.raises(ConfigError, match=r"says no `machine`.*write `machine = Machine"):
         nsde_torch.simulate("tests.helpers.rate_loops:RateLoop", seed=0)

@@ -13,13 +13,12 @@ from nsde_torch.control.solve import SolverOptions
 from nsde_torch.errors import ConfigError, ExportError
 from nsde_torch.export import container, verify
 from nsde_torch.export.exported import ExportedController
-from nsde_torch.export.graph import graph_of
-from nsde_torch.export.step import STAGES, STATUS, ExportedStep, Stage, packed, run
+from nsde_torch.export.step import STAGES, STATUS, ExportedStep, Stage, run
 from nsde_torch.export.write import controller_of, export
 from nsde_torch.models import NeuralSDE
 from nsde_torch.models.run_directory import save
 from nsde_torch.systems import System
-from tests.helpers.exported import all_kinds, flight, small_controller, step_of, word_of
+from tests.helpers.exported import small_controller, step_of
 
 OPTIONS = {
     "problem": ProblemOptions(horizon=0.3, steps=6),
@@ -141,22 +140,6 @@ def test_what_a_file_cannot_hold_is_refused(model: NeuralSDE, run_dir: Path, tmp
 
 def _stages(step: ExportedStep) -> dict[str, Stage]:
     return {name: step.stage(name) for name in STAGES}
-
-
-@pytest.mark.slow
-def test_sample_after_sample_graphs_of_the_step_do_what_the_controller_does(
-    model: NeuralSDE, path: Reference
-) -> None:
-    controller = small_controller(model)
-    step = step_of(controller, model)
-    stages = {name: graph_of(step.stage(name), e) for name, e in step.examples().items()}
-    words = set()
-    for arguments, plan in flight(controller, path):
-        out = run(stages, step.loops, *arguments)
-        words.add(word_of(out, plan, most=1e-9))
-        known = packed(plan, float(controller._jumped[0]), float(controller._solves))
-        assert torch.allclose(out[9], known, atol=1e-8, equal_nan=True)
-    assert all_kinds(words)
 
 
 def test_a_state_that_is_not_valid_is_bad_whatever_it_says(declared: System) -> None:

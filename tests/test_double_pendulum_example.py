@@ -1,4 +1,4 @@
-"""The example of two joints: its class, and frictions that a simulator of its own put into each joint."""
+"""The example of two joints: its class, and what it can be asked."""
 
 import importlib
 from pathlib import Path

@@ -9,7 +9,7 @@ import torch
 from nsde_torch.control.autopilots import CascadePilot, EstimatorOptions, PredictivePilot
 from nsde_torch.control.loop import Flight, fly, summarise
 from nsde_torch.control.reference import Reference
-from nsde_torch.control.shapes import lemniscate
+from nsde_torch.control.shapes import hover, lemniscate
 from nsde_torch.errors import ConfigError
 from nsde_torch.models import NeuralSDE
 from nsde_torch.simulation import make_plant
@@ -67,6 +67,17 @@ def test_latency_is_made_up_for_by_prediction(declared: System) -> None:
     known, unknown = _flight(declared, **late), _flight(declared, **late, known=0.0)  # type: ignore[arg-type]
     assert _rmse(known) < 0.04
     assert _rmse(known) < 0.7 * _rmse(unknown)
+
+
+@pytest.mark.slow
+def test_a_push_that_lasts_is_learned_in_flight(declared: System) -> None:
+    plain = {"duration": 3.0, "effects": [{"motor_efficiency_loss": {"loss": [0.1] * 6}}]}
+    still = Reference(hover(duration=3.0))
+    without = _flight(declared, still, **plain)  # type: ignore[arg-type]
+    learned = _flight(declared, still, estimator={"force_time": 0.3}, **plain)  # type: ignore[arg-type]
+    off = [abs(float(f.x[-1, 0, 2]) - 1.5) for f in (without, learned)]
+    assert off[0] > 0.01
+    assert off[1] < 0.4 * off[0]
 
 
 def test_the_cascade_flies_the_same_references(declared: System) -> None:

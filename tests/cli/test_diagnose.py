@@ -114,15 +114,34 @@ def test_degrees_where_radians_are_due_are_refused_with_the_remedy(refused: Said
 
 @pytest.mark.slow
 def test_a_model_is_trained_with_what_was_found_and_loads(runs: Path) -> None:
-    words = [SYSTEM, "data=csv", f"data.path={runs}", "model=sysid", "out_dir=out"]
+    words = [SYSTEM, "data=csv", f"data.path={runs}", "model=sysid", "out_dir=out", "data.test=[0]"]
     assert main(["diagnose", *words, "candidates=[coulomb_friction]"]) == 0
     result = json.loads(Path("out/diagnosis.json").read_text())
+    assert result["data"]["runs"] == ["run_1", "run_2"]  # nothing is looked for in what is held back
     assert result["model"]["path"] == "model"
-    assert result["model"]["test_runs"] == ["run_2"]
+    assert result["model"]["test_runs"] == ["run_0"]
     model = nsde_torch.load(Path("out/model"))
     assert isinstance(model, IdentifiedModel)
     assert "coulomb_friction" in model.system.effect_names
     assert model.system.all_declared()["coulomb_friction.size"][0].tolist() == pytest.approx([0.3], rel=0.1)
+
+
+@pytest.mark.slow
+def test_an_effect_of_the_users_own_is_found_and_its_file_names_it_for_other_commands(
+    root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(root / "examples" / "extend")
+    own = "detent:Detent"
+    teeth = [{own: {"size": 0.3, "pitch": 0.1}}]
+    write(simulate("mass_spring_damper", effects=teeth, durations=(6.0,) * 4, seed=1), "data")
+    words = [SYSTEM, "data=csv", "data.path=data", "retrain=false", f"also=[{own}]", "out_dir=out"]
+    assert main(["diagnose", *words]) == 0
+    result = json.loads(Path("out/diagnosis.json").read_text())
+    assert result["added"] == ["detent"]
+    assert result["parameters"]["detent.pitch"]["value"] == pytest.approx(0.1, rel=0.02)
+    config = expanded(["out/effects.yaml"])
+    assert config.effects == [own]
+    assert config.parameters.detent.size == pytest.approx(0.3, rel=0.1)
 
 
 def find(tree: Any, key: str) -> Any:

@@ -178,6 +178,19 @@ def test_csv_files_of_the_user(tmp_path: Path, swings: Path) -> None:
 
 
 @pytest.mark.slow
+def test_a_folder_of_further_runs_is_the_test_and_brings_its_own_sensor_noise(
+    tmp_path: Path, swings: Path
+) -> None:
+    other = folder_of_runs(tmp_path / "others", [7], 0.02)
+    words = (*SPRING, f"data.path={swings}", f"data.test_path={other}")
+    metrics = check(train(tmp_path / "run", *words, "trainer.calibrate=false"), "mass_spring_damper")
+    assert metrics["train_runs"] == ["swing_0", "swing_1", "swing_2"]
+    assert metrics["test_runs"] == ["swing_7"]
+    for name in ("q", "q_dot"):
+        assert metrics["test"]["sensor_std"][name] > 4 * metrics["sensor_std"][name]
+
+
+@pytest.mark.slow
 def test_a_run_killed_midway_and_resumed_ends_in_the_same_metrics(tmp_path: Path, swings: Path) -> None:
     """SIGKILL at a checkpoint, in a process of its own; `resume=` finishes the run as if nothing had happened."""
     words = (*SPRING, f"data.path={swings}", "trainer.steps=30", "seed=3")

@@ -203,6 +203,17 @@ def test_what_trips_a_limit_counts_as_an_experiment_and_is_flown_again_where_it_
     assert _content()["ratio"] is not None
 
 
+@pytest.mark.slow
+def test_a_plan_that_leans_further_than_a_flight_may_is_not_begun(flights: Flights, refused: Said) -> None:
+    _plan()
+    said = refused(*LINKED, "limits.tilt=5")
+    assert "`limits.tilt=5` ends a flight there" in said
+    assert flights.paths == ["hover"]
+    # the limit may be another at the next start
+    assert main(LINKED) == 0
+    assert flights.paths == ["hover", "plan", "hover", "hover"]
+
+
 @pytest.mark.parametrize(
     ("word", "said"),
     [

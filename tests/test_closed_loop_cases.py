@@ -1,7 +1,6 @@
 """The simulator of the closed-loop cases does what physics says, and its files say nothing."""
 
 import importlib
-import json
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -9,9 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-from nsde_torch.recording import read
-from nsde_torch.systems import make_system
 
 FOLDER = Path(__file__).parents[1] / "benchmarks" / "blind"
 
@@ -76,27 +72,3 @@ def test_lag_and_delay_are_as_in_closed_form(body: ModuleType) -> None:
         made.advance(1.2 * hover)
     rise = made.v[:, 2] / (0.2 * (9.81 + 1.0))  # time that the step has acted
     np.testing.assert_allclose(rise, [0.03 - 0.05 * (1 - np.exp(-0.03 / 0.05)), 0.01], rtol=1e-6)
-
-
-@pytest.mark.parametrize("regime", ["a", "c"])
-def test_a_flight_is_flown_and_does_not_depend_on_its_batch(
-    body: ModuleType, regime: str, tmp_path: Path
-) -> None:
-    cases, flight = importlib.import_module("closed_loop"), importlib.import_module("loop_flight")
-    case = next(c for c in cases.cases(3) if c.regime == regime and c.sticks)
-    short = [replace(f, seconds=0.4) for f in cases.flights_of(case)]
-    logged = flight.fly(short)
-    (alone,) = flight.fly(short[1:2])
-    np.testing.assert_allclose(alone.x, logged[1].x, atol=1e-12)
-    for run, f in zip(logged, short, strict=True):
-        assert np.abs(run.truth[:, :2] - flight.wanted(f).p[:, :2]).max() < 1.0
-    cases.write(case, logged, tmp_path)
-    truth = json.loads((tmp_path / "truth" / f"{case.name}.json").read_text())
-    assert set(truth["effects"]) == set(case.machine.effects)
-    header = (tmp_path / "data" / case.name / "run_0.csv").read_text().splitlines()[0]
-    assert header.endswith("setpoint_rate_z,battery_voltage")
-    system = make_system(case.machine.system)
-    data = read("csv", system, path=str(tmp_path / "data" / case.name))
-    assert [len(run) for run in data.runs] == [41] * 4
-    assert data.runs[1].t[0] > data.runs[0].t[-1]
-    assert set(truth["exogenous"]) <= set(data.runs[0].extra)

@@ -73,13 +73,6 @@ def test_a_system_is_simulated_as_it_says(runs: Simulation) -> None:
     assert quiet.runs[0].u.std() < 0.5
 
 
-@pytest.mark.slow
-def test_a_system_is_diagnosed(runs: Simulation) -> None:
-    found = nsde_torch.diagnose(runs, system=RAIL, candidates=["coulomb_friction", "quadratic_damping"])
-    assert found.added == ["coulomb_friction"]
-    assert found.parameters["coulomb_friction.size"]["value"] == pytest.approx(0.6, rel=0.05)
-
-
 def test_a_system_without_a_machine_is_not_simulated() -> None:
     with pytest.raises(ConfigError, match=r"says no `machine`.*write `machine = Machine"):
         nsde_torch.simulate("tests.helpers.rate_loops:RateLoop", seed=0)
@@ -288,10 +281,19 @@ def test_a_command_of_another_package_is_listed_and_runs(
     assert line in capsys.readouterr().out
     assert query(["row"]) == ["rows"]
     assert query(["rows", "lea"]) == ["least="]
+    assert query(["rows", "system=cart"]) == ["system=cartpole"]
     assert main(["rows", "--help"]) == 0
     assert "leave out runs with fewer rows" in capsys.readouterr().out
     assert main(["rows", "system=mass_spring_damper", "data.durations=[2,3]", "least=250"]) == 0
     assert capsys.readouterr().out == "run_1: 301 rows, 3.0 s\n"
+    for word, said in (
+        ("laest=1", "Did you mean `least`?"),
+        ("least=-1", "`least` must be at least 0"),
+        ("system=cartpol", "Did you mean `system=cartpole`?"),
+        ("-m", "has no sweeps"),
+    ):
+        assert main(["rows", word]) == 2
+        assert said in capsys.readouterr().err
 
 
 # ---- the pages -------------------------------------------------------------------------------------------------------

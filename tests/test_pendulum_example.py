@@ -15,8 +15,7 @@ from torch import Tensor
 import nsde_torch
 from nsde_torch.recording import read
 from nsde_torch.systems import System, make_system
-from tests.helpers.diagnosed import assert_interval
-from tests.helpers.system_contract import SystemContract, solve
+from tests.helpers.system_contract import SystemContract
 
 
 @pytest.fixture(autouse=True)
@@ -35,14 +34,6 @@ class TestPendulum(SystemContract):
         s = self.make(values={"gravity": 20.0, "damping": 0.3, "torque_gain": 8.0})
         rate = s.drift(0.0, torch.tensor([[math.pi / 6, 2.0]]), torch.tensor([[0.5]])).detach()
         torch.testing.assert_close(rate, torch.tensor([[2.0, -10.0 - 0.6 + 4.0]]))
-
-    def test_without_damping_it_keeps_its_energy(self) -> None:
-        s = self.make(values={"gravity": 20.0, "damping": 1e-9}).double()
-        start = torch.tensor([[2.5, 0.0]], dtype=torch.float64)
-        path = solve(s, start, torch.zeros(1, 2000, 1).double(), 0.005)[0].numpy()
-        energy = 0.5 * path[:, 1] ** 2 - 20.0 * np.cos(path[:, 0])
-        assert np.ptp(path[:, 0]) > 4.5
-        np.testing.assert_allclose(energy, energy[0], atol=1e-5)
 
 
 def run(words: list[str], folder: Path) -> str:
@@ -67,16 +58,6 @@ def test_the_data_are_read_without_a_complaint(data_folder: Path) -> None:
     assert [f.kind for f in data.summary.findings] == []
     x = np.concatenate([r.x for r in data.runs])
     assert np.abs(x[:, 0]).max() > 1.0  # the swings are large enough to show sin theta
-
-
-@pytest.mark.slow
-def test_its_dry_friction_is_named_from_the_catalogue(data_folder: Path) -> None:
-    data = nsde_torch.read(data_folder, system="pendulum:Pendulum")
-    laws = ["coulomb_friction", "quadratic_damping", "constant_force", "ripple"]
-    found = nsde_torch.diagnose(data, system="pendulum:Pendulum", candidates=laws)
-    assert found.added == ["coulomb_friction"]
-    assert found.parameters["coulomb_friction.size"]["unit"] == "rad/s2"
-    assert_interval(found.parameters, "coulomb_friction.size", 0.6)
 
 
 @pytest.mark.slow

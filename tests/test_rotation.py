@@ -7,11 +7,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from nsde_torch.columns import few_operations
-from nsde_torch.control.problem import attitude_error
 from nsde_torch.rotation import (
     body_rates,
-    cross,
     gravity_direction,
     quaternion_rate,
     rotate,
@@ -34,11 +31,6 @@ def wxyz(rotation: Rotation) -> Tensor:
 
 def vectors(n: int = 64, seed: int = 1) -> Array:
     return np.random.default_rng(seed).normal(size=(n, 3))
-
-
-def test_cross_product_is_numpys() -> None:
-    a, b = vectors(seed=2), vectors(seed=3)
-    np.testing.assert_allclose(cross(torch.from_numpy(a), torch.from_numpy(b)), np.cross(a, b), atol=1e-14)
 
 
 def test_rotating_to_the_world_and_back_is_scipys_apply() -> None:
@@ -101,21 +93,3 @@ def test_gradients_are_finite_at_zero_error_and_half_a_turn(dtype: torch.dtype, 
     for q in (a, b):
         assert q.grad is not None
         assert bool(torch.isfinite(q.grad).all())
-
-
-def test_rotations_of_few_operations_are_the_same_rotations() -> None:
-    g = torch.Generator().manual_seed(3)
-    q, p = torch.nn.functional.normalize(torch.randn(2, 9, 4, generator=g, dtype=torch.float64), dim=-1)
-    v, w = torch.randn(2, 9, 3, generator=g, dtype=torch.float64)
-    calls = (
-        lambda: cross(v, w),
-        lambda: rotate(q, v),
-        lambda: rotate_back(q, v),
-        lambda: gravity_direction(q),
-        lambda: quaternion_rate(q, v),
-        lambda: attitude_error(q, p),
-    )
-    for call in calls:
-        plain = call()
-        with few_operations():
-            assert torch.allclose(call(), plain, atol=1e-14)

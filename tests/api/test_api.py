@@ -17,7 +17,6 @@ import torch
 import nsde_torch
 from nsde_torch.cli.main import main
 from nsde_torch.data import DataSet, RawRun
-from nsde_torch.effects import Effect
 from nsde_torch.errors import ConfigError, DataError, ShapeError
 from nsde_torch.evaluation.comparison import Comparison
 from nsde_torch.models import Model, SDESpec, make_model
@@ -40,7 +39,9 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("name", ["diagnose", "evaluate", "read", "simulate", "train"])
+@pytest.mark.parametrize(
+    "name", [pytest.param("diagnose", marks=pytest.mark.slow), "evaluate", "read", "simulate", "train"]
+)
 def test_the_example_of_a_function_runs(name: str) -> None:
     function = getattr(nsde_torch, name)
     found = doctest.DocTestFinder(recurse=False).find(function, name, globs={"simulate": nsde_torch.simulate})
@@ -154,16 +155,6 @@ def test_a_wrong_choice_is_named(given: dict[str, Any], named: str, runs: Path) 
         nsde_torch.train(runs, system=SYSTEM, say=silent, **given)
 
 
-def test_a_system_of_ones_own_is_given_as_a_class(runs: Path) -> None:
-    class Own(nsde_torch.System):  # type: ignore[misc]
-        """Not found by name: it lies inside a function."""
-
-    with pytest.raises(ConfigError, match="Own"):
-        nsde_torch.diagnose(runs, system=Own)
-    assert issubclass(MassSpringDamper, nsde_torch.System)
-    assert nsde_torch.Effect is Effect
-
-
 @pytest.mark.slow
 def test_a_newcomer_gets_from_files_to_a_named_effect(
     runs: Path,
@@ -183,28 +174,6 @@ def test_a_newcomer_gets_from_files_to_a_named_effect(
     assert "coulomb_friction" in out.split("declared parameter")[0]
     assert Path("diagnosis/report.html").is_file()
     assert "coulomb_friction" in nsde_torch.load("model").system.effect_names
-
-
-@pytest.mark.parametrize("kept", [True, False])
-def test_a_training_names_a_folder_that_it_wrote_and_no_other(kept: bool, runs: Path, tmp_path: Path) -> None:
-    said: list[str] = []
-    folder = tmp_path / "run" if kept else None
-    nsde_torch.train(runs, system=SYSTEM, model="sysid", run_dir=folder, say=said.append)
-    assert said[-1].strip().startswith("took ")
-    assert (f"wrote {folder}" in said[-1]) == kept == ("wrote" in said[-1])
-
-
-@pytest.mark.parametrize(
-    ("candidate", "why"),
-    [
-        ("linear_spring", "declared already"),
-        ("propeller_drag", "does not list"),
-        ("linear_drag", "cannot have"),
-    ],
-)
-def test_a_candidate_that_cannot_be_one_is_refused_before_anything_is_read(candidate: str, why: str) -> None:
-    with pytest.raises(ConfigError, match=why):
-        nsde_torch.diagnose("nowhere", system=SYSTEM, candidates=[candidate])
 
 
 def test_a_training_that_is_stopped_once_the_model_is_fitted_returns_it(

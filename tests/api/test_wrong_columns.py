@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 import nsde_torch
 from nsde_torch.api.inspecting import Inspection
-from nsde_torch.cli.main import main
 from nsde_torch.data.system_info import changed
 from nsde_torch.errors import DataError
 from nsde_torch.systems import make_system
@@ -338,47 +337,11 @@ def test_speeds_of_rotors_are_no_pulses_and_the_proposal_is_read(
     assert len(data.runs) == 2
 
 
-def test_the_next_line_never_recommends_training_after_a_doubt(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    sound = spring()
-    write_table(tmp_path / "run_0.csv", order(sound, "q", "q_dot"))
-    assert main(["inspect", str(tmp_path), f"system={SPRING}"]) == 1
-    out = capsys.readouterr().out
-    assert "nsde train" not in out
-    assert "next: mend this first" in out
-    assert out.rstrip().endswith("exchange the columns q and q_dot")
-    # a rate of another machine: nothing names it, and still nothing is trained
-    write_table(tmp_path / "run_0.csv", {**sound, "q_dot": spring(seed=9)["q_dot"]})
-    main(["inspect", str(tmp_path), f"system={SPRING}", "physics=false"])
-    out = capsys.readouterr().out
-    assert "nsde train" not in out
-    assert "next: mend this first" in out
-
-
 def test_rows_that_repeat_a_time_are_inspected(tmp_path: Path) -> None:
     write_table(tmp_path / "run.csv", {k: np.repeat(v, 2) for k, v in spring().items()})
     found = nsde_torch.inspect(tmp_path, system=SPRING)
     assert found.usable
     assert any("repeat a time" in note for note in found.notes)
-
-
-def test_nothing_is_trained_on_runs_that_stand_still_or_are_copies(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    still = {k: v if k == "t" else 0.0 * v for k, v in spring().items()}
-    for folder in ("still", "copies"):
-        (tmp_path / folder).mkdir()
-    write_table(tmp_path / "still" / "run.csv", still)
-    for name in ("a", "b"):
-        write_table(tmp_path / "copies" / f"{name}.csv", spring())
-    for folder, cause in (("still", "never change"), ("copies", "'b' is 'a'")):
-        data = nsde_torch.read(tmp_path / folder, system=SPRING)
-        assert cause in str(data.summary)
-        main(["inspect", str(tmp_path / folder), f"system={SPRING}", "out=none"])
-        last = capsys.readouterr().out.splitlines()[-1]
-        assert cause in last
-        assert "mend this first" in last
 
 
 def test_a_table_of_too_many_columns_is_refused_at_once(tmp_path: Path) -> None:

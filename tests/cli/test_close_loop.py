@@ -145,19 +145,6 @@ def test_a_tie_is_asked_of_an_experiment_and_the_record_has_nats_expected_and_ob
     assert json.loads(Path("out/close_loop.json").read_text()) == content
 
 
-@pytest.mark.slow
-def test_what_no_experiment_within_the_limits_tells_names_the_limit(
-    told: list[Any], capsys: pytest.CaptureFixture[str]
-) -> None:
-    _open()
-    assert main(["close-loop", *TIED, "experiment.fence=[[-3,3],[-3,3],[2.5,4]]"]) == 0
-    content = json.loads(Path("out/close_loop.json").read_text())
-    assert content["stopped"]["kind"] == "limits"
-    assert "what limits it is limits.p_z=[2.5,4]" in content["stopped"]["sentence"]
-    assert content["experiments"] == []
-    assert "no experiment stays within the limits" in capsys.readouterr().out
-
-
 @pytest.mark.usefixtures("few")
 @pytest.mark.slow
 def test_by_hand_it_says_what_to_fly_and_goes_on_with_the_log(refused: Said, shown: Said) -> None:

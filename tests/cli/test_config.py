@@ -1,22 +1,18 @@
 """Schemas say what every key means; configurations compose, with files of the user's own as choices."""
 
 import inspect
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from hydra import compose, initialize_config_module
 
 import nsde_torch
 from nsde_torch import conf, simulation
 from nsde_torch.cli import groups
-from nsde_torch.cli.hydra_command import store
 from nsde_torch.cli.keys import check, walk
 from nsde_torch.cli.main import main
-from nsde_torch.cli.registry import hydra_command, hydra_commands
+from nsde_torch.cli.registry import hydra_commands
 from nsde_torch.cli.schemas import CHOICES
-from nsde_torch.errors import ConfigError
 from nsde_torch.sde.registry import STEPS
 from nsde_torch.systems import SYSTEMS
 from tests.helpers.commands import Said
@@ -27,25 +23,9 @@ BOMB = "\n".join(
 """Aliases of aliases: a file of 300 bytes that represents 400 million values."""
 
 
-@pytest.fixture
-def hydra_ready() -> Iterator[None]:
-    store(hydra_command("train"))
-    with initialize_config_module("nsde_torch.conf", version_base="1.3"):
-        yield
-
-
 def test_choices_of_systems_and_solvers_are_those_of_the_library() -> None:
     assert set(groups.choices("system")) == set(SYSTEMS)
     assert set(groups.choices("solver")) == {"default", *STEPS}
-
-
-@pytest.mark.usefixtures("hydra_ready")
-def test_parameters_of_effects_are_reached_with_dots() -> None:
-    from nsde_torch.cli import build
-
-    words = ["system=hexacopter", "system.effects=[linear_drag]", "++system.parameters.linear_drag.wrong=0.2"]
-    with pytest.raises(ConfigError, match="wrong"):
-        build.system(compose("train", overrides=words).system)
 
 
 @pytest.mark.parametrize(

@@ -113,20 +113,13 @@ def test_degrees_where_radians_are_due_are_refused_with_the_remedy(refused: Said
 
 
 @pytest.mark.slow
-def test_only_runs_that_are_not_held_back_are_looked_at(runs: Path) -> None:
-    words = [SYSTEM, "data=csv", f"data.path={runs}", "retrain=false", "out_dir=out", "data.test=[0]"]
-    assert main(["diagnose", *words, "candidates=[quadratic_damping]"]) == 0
-    result = json.loads(Path("out/diagnosis.json").read_text())
-    assert result["data"]["runs"] == ["run_1", "run_2"]
-
-
-@pytest.mark.slow
 def test_a_model_is_trained_with_what_was_found_and_loads(runs: Path) -> None:
-    words = [SYSTEM, "data=csv", f"data.path={runs}", "model=sysid", "out_dir=out"]
+    words = [SYSTEM, "data=csv", f"data.path={runs}", "model=sysid", "out_dir=out", "data.test=[0]"]
     assert main(["diagnose", *words, "candidates=[coulomb_friction]"]) == 0
     result = json.loads(Path("out/diagnosis.json").read_text())
+    assert result["data"]["runs"] == ["run_1", "run_2"]  # nothing is looked for in what is held back
     assert result["model"]["path"] == "model"
-    assert result["model"]["test_runs"] == ["run_2"]
+    assert result["model"]["test_runs"] == ["run_0"]
     model = nsde_torch.load(Path("out/model"))
     assert isinstance(model, IdentifiedModel)
     assert "coulomb_friction" in model.system.effect_names

@@ -36,29 +36,6 @@ def c_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-@pytest.mark.slow
-def test_a_file_is_written_once_and_verified(file: Path, refused: Said, shown: Said) -> None:
-    assert "is there already" in refused("export", "run=declared", f"out={file}", *MPC)
-    words = ["verify", str(file), "run=declared", "states=10", "adversarial=20", "out=found.json"]
-    printed = shown(*words)
-    assert "passed" in printed
-    assert "0 answers not finite" in printed
-    found = json.loads(Path("found.json").read_text())
-    assert found["passed"]
-    assert found["states"] == 10
-    assert found["step_ms"]["p99"] > 0.0
-
-
-@pytest.mark.slow
-def test_a_file_of_another_model_is_not_verified(file: Path, refused: Said) -> None:
-    quad = file.with_name("quad.ts")
-    shutil.copy(file, quad)
-    content = quad.read_bytes()
-    assert "no run directory" in refused("verify", str(quad), "run=nowhere")
-    quad.write_bytes(content[:5000])
-    assert "truncated" in refused("verify", str(quad), "run=declared")
-
-
 @pytest.mark.parametrize(
     "kind",
     [

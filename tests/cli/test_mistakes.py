@@ -55,6 +55,14 @@ MISTAKES = {
         ("~seed", "no key can be taken out of the configuration"),
         ("-m run_dir=a", "a sweep takes `sweep_dir=...`"),
         ("-m resume=a", "`resume` continues one run; leave out -m."),
+        (
+            "device=gpu system=mass_spring_damper data.durations=[2,2,2]",
+            "`device` must be cpu, cuda or cuda:N",
+        ),
+        ("model=sysid solver=heun system=mass_spring_damper", "`model=sysid` has no diffusion"),
+        ("model=sysid model.method=magic", "`model.method` must be weak | differences"),
+        ("model=blackbox_nsde solver=rk4 system=cartpole data.durations=[3,3]", "solver="),
+        ("system.effects=[linear_drag] ++system.parameters.linear_drag.wrong=0.2", "wrong"),
     ],
     "track": [
         ("system=mass_spring_damper", "`system` is not a group of `nsde track`. The system is that of"),

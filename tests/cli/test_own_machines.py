@@ -51,20 +51,6 @@ def test_a_controller_of_a_spring_is_exported_verified_and_holds_it(
     assert "`mpc.low` is -2" in refused(*held, "reference.duration=2", "mpc.low=-2", "out_dir=no")
 
 
-@pytest.mark.slow
-def test_a_model_of_a_spring_holds_it_beside_its_declared_physics(spring: Path, shown: Said) -> None:
-    words = ["reference=setpoint", "reference.states={q: 0.2}", "reference.duration=3", "mpc.compile=off"]
-    beside = ["beside=[declared]", "plant=own", "mpc.low=-1", "mpc.high=1", "machines=2", "mpc.steps=8"]
-    printed = shown("track", f"run={spring}", *words, *beside, "out_dir=out")
-    assert printed.count("RMSE position") == 2
-    content = json.loads(Path("out/tracking.json").read_text(encoding="utf-8"))
-    for own in content["controllers"].values():
-        assert own["lost"] == 0
-        assert own["rmse_last_s"]["position"] < 0.03  # m, of 0.2
-    assert Path("out/plots/tracking.png").is_file()
-    assert Path("out/log/flight_1.csv").read_text(encoding="utf-8").startswith("t,q,q_dot,force")
-
-
 @pytest.mark.parametrize(
     ("typed", "said"),
     [

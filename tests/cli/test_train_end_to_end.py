@@ -19,7 +19,6 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 import nsde_torch
 from nsde_torch.cli.main import main
 from nsde_torch.systems import make_system
-from tests.helpers.commands import Said
 
 pytestmark = pytest.mark.drawn
 
@@ -213,15 +212,3 @@ def test_a_run_killed_midway_and_resumed_ends_in_the_same_metrics(tmp_path: Path
     del expected["seconds"], metrics["seconds"]
     assert metrics == expected
     assert metrics["seed"] == 3
-
-
-@pytest.mark.slow
-def test_a_neural_ode_has_no_intervals_and_says_so(tmp_path: Path, shown: Said) -> None:
-    folder = tmp_path / "node"
-    words = ["system=mass_spring_damper", "system.dt=0.05", "system.horizon=10", "data.durations=[3,3,3]"]
-    words += ["model=node", "solver=torchdiffeq", "solver.method=bosh3", f"run_dir={folder}"]
-    assert "no intervals" in shown("train", *FAST, *words)
-    assert not (folder / "plots" / "calibration.png").exists()
-    metrics = json.loads((folder / "metrics.json").read_text())
-    assert metrics["model"] == "node"
-    assert nsde_torch.load(folder).spec.solver["method"] == "bosh3"  # type: ignore[attr-defined]

@@ -74,26 +74,6 @@ def test_an_identified_model_trains_saves_loads_samples_and_is_scored(
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        ((*SYSID, *SPRING, "solver=heun"), "`model=sysid` has no diffusion"),
-        ((*SYSID, *SPRING, "model.method=magic"), "`model.method` must be weak | differences"),
-        pytest.param(
-            (*ENSEMBLE, "system=hexacopter", "data.durations=[8,8]", "system.effects=[linear_drag]"),
-            "Leave system.effects out",
-            marks=pytest.mark.slow,
-        ),
-    ],
-)
-def test_what_does_not_fit_a_kind_is_refused(
-    words: tuple[str, ...], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["train", *words, f"run_dir={tmp_path / 'run'}"]) == 2
-    printed = capsys.readouterr()
-    assert said in printed.out + printed.err
-
-
-@pytest.mark.parametrize(
     "words", [(*ENSEMBLE, *UNTESTED), pytest.param((*SYSID, *SPRING), marks=pytest.mark.slow)]
 )
 def test_a_finished_run_resumed_ends_in_the_same_metrics(words: tuple[str, ...], tmp_path: Path) -> None:

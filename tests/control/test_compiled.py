@@ -19,9 +19,8 @@ from nsde_torch.control.solve import Problem, Solution, Solver, SolverOptions
 from nsde_torch.errors import ConfigError
 from nsde_torch.models import NeuralSDE
 from nsde_torch.sde import CompilationWarning
-from nsde_torch.systems import System, make_system
+from nsde_torch.systems import System
 from tests.helpers.control_problems import PAID, horizon_of, problem_of
-from tests.helpers.hexacopters import VALUES
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
 SMALL = {"horizon": 0.3, "steps": 6}
@@ -87,17 +86,6 @@ def test_accelerated_gradients_are_those_of_torch(
         p = problem_of(h, path, rows=2, off=2.0)
         _both(h, p, 1e-7, name="apg", iterations=iterations, tolerance=tolerance, cache=str(tmp_path))
     assert len(list(tmp_path.iterdir())) == 1
-
-
-@needs_compiler
-@pytest.mark.slow
-def test_networks_memory_and_pushes_are_in_them(model: NeuralSDE, path: Reference) -> None:
-    lag = make_system("hexacopter", effects=["motor_lag", "linear_drag"], values=VALUES)
-    for known in (model, lag):
-        h = horizon_of(known, **SMALL)
-        p = problem_of(h, path, rows=1)
-        pushed = p._replace(d=torch.linspace(-1.0, 1.0, h.nd, dtype=torch.float64)[None])
-        _both(h, pushed, 1e-8, iterations=4, tolerance=1e-3)
 
 
 @needs_compiler

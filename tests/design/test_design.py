@@ -68,17 +68,6 @@ def test_where_evidence_lies_holds_one_more_rehearsal_as_often_as_it_says(planne
     assert held / 2000 == pytest.approx([0.90, 0.99], abs=0.02)
 
 
-def test_a_plan_that_leaves_its_limits_whatever_it_does_says_which(tie: Tie) -> None:
-    with pytest.raises(ConfigError, match=r"what limits it is limits\.q=\[0\.1,0\.2\]"):
-        design(tie.system, tie.runs, tie.question, replace(OPTIONS, generations=0, limits={"q": [0.1, 0.2]}))
-
-
-def test_members_that_are_one_equation_are_refused_and_not_planned_for(tie: Tie) -> None:
-    same = Question((BIASED, BIASED[::-1]))
-    with pytest.raises(ConfigError, match=r"no experiment tells .* one equation in this physics"):
-        design(tie.system, tie.runs, same, replace(OPTIONS, generations=0), baselines=False)
-
-
 def test_limits_within_which_nothing_tells_are_named(tie: Tie) -> None:
     apart = Question((("quadratic_damping",), ("cubic_stiffness",)))
     still = {"force": [-0.1, 0.1], "q": [-0.15, 0.15], "q_dot": [-0.15, 0.15]}
@@ -88,12 +77,21 @@ def test_limits_within_which_nothing_tells_are_named(tie: Tie) -> None:
 
 
 @pytest.mark.parametrize(
-    ("limits", "message"),
-    [({"speed": [0, 1]}, "names 'speed'"), ({"q": [1, 0]}, "must be"), ({"q": 3}, "must be")],
+    ("members", "changed", "message"),
+    [
+        ((BIASED, SIDED), {"limits": {"q": [0.1, 0.2]}}, r"what limits it is limits\.q=\[0\.1,0\.2\]"),
+        ((BIASED, BIASED[::-1]), {}, r"no experiment tells .* one equation in this physics"),
+        ((BIASED, SIDED), {"limits": {"speed": [0, 1]}}, "names 'speed'"),
+        ((BIASED, SIDED), {"limits": {"q": [1, 0]}}, "must be"),
+        ((BIASED, SIDED), {"limits": {"q": 3}}, "must be"),
+    ],
 )
-def test_limits_of_nothing_are_refused(tie: Tie, limits: dict[str, object], message: str) -> None:
+def test_what_cannot_be_planned_is_refused_with_its_cause(
+    tie: Tie, members: tuple[tuple[str, ...], ...], changed: dict[str, Any], message: str
+) -> None:
+    options = replace(OPTIONS, generations=0, **changed)
     with pytest.raises(ConfigError, match=message):
-        design(tie.system, tie.runs, tie.question, replace(OPTIONS, limits=limits))
+        design(tie.system, tie.runs, Question(members), options, baselines=False)
 
 
 @pytest.mark.slow
@@ -146,21 +144,17 @@ def test_the_question_is_the_first_tie_of_effects(tie: Tie) -> None:
 
 
 @pytest.mark.parametrize(
-    "wrong",
+    ("wrong", "said"),
     [
-        {"members": (("a",),)},
-        {"members": (BIASED, BIASED)},
-        {"members": (BIASED, SIDED), "parameters": ("a.b",)},
+        ({"members": (("a",),)}, "two or more different lists"),
+        ({"members": (BIASED, BIASED)}, "two or more different lists"),
+        ({"members": (BIASED, SIDED), "parameters": ("a.b",)}, "are two questions"),
+        ({"members": (("frictoin",), SIDED)}, "no effect that 'mass_spring_damper' can have"),
     ],
 )
-def test_questions_that_are_none_are_refused(wrong: dict[str, object]) -> None:
-    with pytest.raises(ConfigError):
-        DesignOptions(**wrong)  # type: ignore[arg-type]
-
-
-def test_an_effect_that_no_one_knows_is_refused(tie: Tie) -> None:
-    with pytest.raises(ConfigError, match="no effect that 'mass_spring_damper' can have"):
-        question_of({}, tie.system, DesignOptions(members=(("frictoin",), SIDED)))
+def test_questions_that_are_none_are_refused(tie: Tie, wrong: dict[str, Any], said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        question_of({}, tie.system, DesignOptions(**wrong))
 
 
 def test_a_plan_without_its_column_is_refused(tmp_path: Path) -> None:

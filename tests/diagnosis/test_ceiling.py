@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nsde_torch.diagnosis.cross_validation import Own
 from nsde_torch.diagnosis.decisions import Options
-from nsde_torch.diagnosis.effect_importance import BY_STEPS, effect_importance
+from nsde_torch.diagnosis.effect_importance import BY_STEPS
 from nsde_torch.diagnosis.report import WITH, WITHOUT, effect_panels, page, pictures
 from nsde_torch.diagnosis.result import content
 from nsde_torch.diagnosis.text import in_order, lines, small, without_it
@@ -52,26 +51,6 @@ def test_what_is_left_far_above_white_noise_is_said_beside_that_nothing_is_missi
     assert "of q_dot is 50 times white noise" in summary_of
 
 
-@pytest.fixture(scope="module")
-def friction() -> Diagnosed:
-    options = Options(candidates=("coulomb_friction",))
-    return diagnosed("mass_spring_damper", {"coulomb_friction": {"size": 0.5}}, options=options)
-
-
-@pytest.mark.slow
-def test_an_effect_that_is_named_explains_all_that_functions_can(friction: Diagnosed) -> None:
-    content = friction[1]
-    own = content["flexible"]
-    assert content["added"] == ["coulomb_friction"]
-    assert own["left"] is False
-    assert own["explained"] > 0.9
-    outcome = friction[0].outcome
-    evidence = outcome.found[0].evidence.nats
-    assert evidence > 20.0
-    assert own["effects_nats"] == pytest.approx(evidence, rel=0.3)
-    assert "all that functions of what was measured can" in own["sentence"]
-
-
 def test_what_no_candidate_names_is_explained_by_functions(missed: Diagnosed) -> None:
     _, content = missed
     own = content["flexible"]
@@ -104,24 +83,6 @@ def test_it_is_drawn_with_where_it_may_be_trusted(missed: Diagnosed, tmp_path: P
     page = missed[0].save(tmp_path).read_text(encoding="utf-8")
     assert "What functions could still explain" in page
     assert (tmp_path / "plots" / "flexible.png").is_file()
-
-
-def brings(nats: float, **left: tuple[float, float]) -> Own:
-    """What an effect brings: nats, and by channel the residual without it and with it."""
-    return Own(
-        nats, None, None, {}, {}, larger=False, residual={k: ("m/s2", *pair) for k, pair in left.items()}
-    )
-
-
-def test_effects_are_ordered_by_the_log_likelihood_that_is_lost_without_them() -> None:
-    brought = {
-        "a": brings(20.0, v=(2.0, 1.0)),
-        "b": brings(60.0, v=(1.1, 1.0)),
-        "c": brings(-5.0, v=(1.0, 1.0)),
-    }
-    found = effect_importance(brought, inputs=True)
-    assert list(found) == ["b", "a", "c"]
-    assert [b.share for b in found.values()] == pytest.approx([0.75, 0.25, 0.0])
 
 
 @pytest.fixture(scope="module")

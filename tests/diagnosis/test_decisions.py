@@ -7,14 +7,12 @@ from typing import Any
 
 import pytest
 
-from nsde_torch.diagnosis.decisions import BUDGETS, Budgets, Decisions, Wording
+from nsde_torch.diagnosis.decisions import Budgets, Decisions, Wording
 from nsde_torch.errors import ConfigError
 from tests.helpers.diagnosed import diagnosed
 
 _SPRING, _FRICTION = "mass_spring_damper", {"coulomb_friction": {"size": 0.3}}
 _SHORT: dict[str, Any] = {"durations": (5.0,) * 4, "dt": 0.02}
-_LESS_IS_MORE = {"worth_nats", "close_share", "finished_share", "noise_nats"}
-"""Budgets that try more where they are smaller."""
 
 
 def _sources(root: Path) -> dict[str, str]:
@@ -44,23 +42,6 @@ def test_a_number_out_of_range_is_refused() -> None:
         Decisions(folds=1)
     with pytest.raises(ConfigError, match="iterations"):
         Budgets(iterations=0)
-
-
-def _twice(budgets: Budgets) -> Budgets:
-    values = {f.name: getattr(budgets, f.name) for f in fields(budgets)}
-    return Budgets(**{k: v / 2 if k in _LESS_IS_MORE else 2 * v for k, v in values.items()})
-
-
-@pytest.mark.parametrize("effects", [[], [_FRICTION]])
-@pytest.mark.slow
-def test_twice_the_budget_finds_the_same(effects: list[Any]) -> None:
-    once, twice = (diagnosed(_SPRING, *effects, budgets=b, **_SHORT)[1] for b in (BUDGETS, _twice(BUDGETS)))
-    assert (once["verdict"], once["added"]) == (twice["verdict"], twice["added"])
-    known, again = ({**c["declared_parameters"], **c["parameters"]} for c in (once, twice))
-    shown = {name: was["interval_90"] for name, was in known.items() if was["interval_90"]}
-    assert shown
-    for name, (low, high) in shown.items():
-        assert low <= again[name]["value"] <= high
 
 
 @pytest.mark.slow

@@ -39,13 +39,6 @@ def loop(*, own: float, elsewhere: float, upper: float = 0.002, between: float =
     return FeedbackTest(answers, knowledge, driven=DRIVEN, rows=10_000, between={"w_x": between, "w_z": 1.0})
 
 
-def test_inputs_made_from_the_logged_measurement_hide_nothing() -> None:
-    test = loop(own=0.3, elsewhere=0.3)
-    assert test.closed
-    assert test.other_sensors == ()
-    assert test.moving == {}
-
-
 def test_inputs_that_answer_other_channels_alone_were_made_from_other_sensors() -> None:
     test = loop(own=0.001, elsewhere=0.3)
     assert test.other_sensors == ("w_x", "w_z")
@@ -53,13 +46,6 @@ def test_inputs_that_answer_other_channels_alone_were_made_from_other_sensors() 
     assert "other sensors" in " ".join(test.findings)
     # what moves between rows counts where it is more
     assert loop(own=0.001, elsewhere=0.3, between=30.0).hidden["w_x"] ** 2 == pytest.approx(900.0)
-
-
-def test_an_open_loop_hides_nothing() -> None:
-    test = loop(own=0.0, elsewhere=0.0)
-    assert test.open
-    assert test.hidden == {}
-    assert test.as_dict()["closed_loop"] is False
 
 
 def test_what_inputs_predict_in_a_closed_loop_may_be_what_an_effect_explains() -> None:

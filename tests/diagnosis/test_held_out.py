@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 import pytest
@@ -17,14 +17,11 @@ from nsde_torch.diagnosis.decision import _shared, judged_on_runs_left_out, size
 from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.joint_selection import Evidence
 from nsde_torch.diagnosis.outcome import Estimate, Found, Outcome
-from nsde_torch.diagnosis.pipeline import diagnose
 from nsde_torch.diagnosis.reading import Log, not_sure
 from nsde_torch.diagnosis.residual_tests import Dependence
-from nsde_torch.diagnosis.search import Search, moved_channels
-from nsde_torch.models.identified import SysidSpec
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import make_system
-from tests.helpers.diagnosed import diagnosed, recorded
+from tests.helpers.diagnosed import diagnosed
 
 SPRING = "mass_spring_damper"
 
@@ -160,36 +157,3 @@ def test_what_makes_no_residual_smaller_where_structure_is_left_explains_nothing
     judged = judged_on_runs_left_out(outcome, more)
     assert judged.verdict == "unexplained"
     assert "is larger with the effects" in judged.found[0].provisional
-
-
-@pytest.fixture(scope="module")
-def flown() -> tuple[dict[str, Any], dict[str, tuple[str, ...]]]:
-    """A diagnosis of short flights, the pilot in the loop, and the channels that effects move there."""
-    made = recorded("hexacopter", seed=3, durations=(20.0,) * 4, dt=0.02, plant={"variants": 2, "rounds": 1})
-    declared = make_system("hexacopter", effects=["motor_lag"])
-    spec = SysidSpec("hexacopter", dt=made.dt, horizon=declared.defaults.horizon, effects=("motor_lag",))
-    candidates = ("linear_drag",)
-    found = diagnose(declared, spec, made, made.runs, Options(candidates=candidates))
-    moves = {}
-    runs = Search(declared, found.recorded.runs, 1.0, Options())
-    for name in ("angular_damping", "thrust_curve"):
-        effect = declared.make_effect(name)
-        moves[name] = moved_channels(runs.quick(declared.with_effects(effect)), name)
-    return found.content(), moves
-
-
-@pytest.mark.slow
-def test_drag_of_a_machine_in_a_loop_is_named_and_is_no_lead(flown: tuple[dict[str, Any], Any]) -> None:
-    content, _ = flown
-    (finding,) = content["findings"]
-    assert (finding["name"], finding["lead"]) == ("linear_drag", False)
-    assert finding["held_out"]["nats"] > 0
-    assert finding["held_out"]["channels"]["v_y (body)"]["low_90"] > 0
-    velocities = {"v_x (body)", "v_y (body)", "v_z (body)"}
-    assert set(finding["moves"]) == velocities == set(finding["held_out"]["channels"])
-    assert min(finding["held_out"]["residual_ratio"].values()) < 0.95
-    errors = content["errors"]
-    assert (errors["inputs"], errors["closed_loop"]) == ("replayed", True)
-    assert {"before", "after", "ratio", "difference", "one_step", "residual"} <= set(errors)
-    # nothing that drag cannot move has moved
-    assert errors["residual"]["w_z"]["ratio"] == pytest.approx(1.0, abs=0.02)

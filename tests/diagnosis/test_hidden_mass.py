@@ -71,7 +71,7 @@ def behind_a_servo(seed: int, hertz: float, ratio: float) -> list[RawRun]:
 
 
 # of the slow one the fit without it takes the input for nothing
-@pytest.mark.parametrize(("hertz", "ratio"), [(3.0, 0.3), (1.5, 0.1)])
+@pytest.mark.parametrize(("hertz", "ratio"), [pytest.param(3.0, 0.3, marks=pytest.mark.slow), (1.5, 0.1)])
 def test_a_servo_that_swings_is_found_alone(hertz: float, ratio: float) -> None:
     found = nsde_torch.diagnose(behind_a_servo(9, hertz, ratio), system="mass_spring_damper", say=False)
     assert (found.added, [f["lead"] for f in found.content()["findings"]]) == (

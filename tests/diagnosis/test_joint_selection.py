@@ -1,17 +1,15 @@
 """Effects are selected together, by the likelihood of the whole machine."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 from scipy.signal import butter, sosfiltfilt
 
 from nsde_torch.data import Run
-from nsde_torch.diagnosis import joint_selection
 from nsde_torch.diagnosis.candidates import effect_of, simplified
 from nsde_torch.diagnosis.decisions import Options
-from nsde_torch.diagnosis.joint_selection import FittedPhysics, JointSearch, JointSelection
+from nsde_torch.diagnosis.joint_selection import JointSearch, JointSelection
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.inference import LogLikelihood
 from nsde_torch.systems import make_system
@@ -44,20 +42,6 @@ def test_two_frictions_of_one_speed_are_both_selected_with_their_sizes() -> None
         value, error = known[effect]
         assert value == pytest.approx(true, abs=3.0 * error)
         assert error < 0.2 * true
-
-
-@pytest.mark.slow
-def test_a_candidate_whose_slopes_are_no_numbers_costs_itself(monkeypatch: pytest.MonkeyPatch) -> None:
-    fit = joint_selection.fitted_at
-
-    def failing(problem: Any, system: Any, *how: Any) -> FittedPhysics:
-        if "quadratic_damping" in system.effect_names:
-            raise np.linalg.LinAlgError("Eigenvalues did not converge")
-        return fit(problem, system, *how)
-
-    monkeypatch.setattr(joint_selection, "fitted_at", failing)
-    found = selected(two_frictions(seed=1)).selected
-    assert set(found) == {"stribeck_friction"}  # the next best, see `STRIBECK`
 
 
 @pytest.mark.slow

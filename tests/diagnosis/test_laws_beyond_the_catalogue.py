@@ -13,14 +13,12 @@ import nsde_torch
 from nsde_torch.data import RawRun
 from nsde_torch.diagnosis.between_runs import reference
 from nsde_torch.diagnosis.beyond_catalogue import same_effect, zero_of_an_input
-from nsde_torch.diagnosis.candidates import candidate_names, effect_of, joined, starts, values_of
+from nsde_torch.diagnosis.candidates import candidate_names, joined
 from nsde_torch.diagnosis.decisions import Budgets, Decisions, Options
 from nsde_torch.diagnosis.laws import terms_of
 from nsde_torch.diagnosis.result import looks_like
-from nsde_torch.diagnosis.search import Search, fitted_system
-from nsde_torch.effects import effect_class
+from nsde_torch.diagnosis.search import Search
 from nsde_torch.effects.expression_grammar import parse
-from nsde_torch.inference.steps import data_sizes
 from nsde_torch.simulation import simulate
 from nsde_torch.systems import System, make_system
 from nsde_torch.systems.options import system_options
@@ -112,16 +110,6 @@ def test_laws_are_tried_neither_beside_named_candidates_nor_where_the_budget_has
     assert (content["verdict"], content["added"]) == ("unexplained", [])
     _, content = diagnosed("mass_spring_damper", truth, budgets=Budgets(laws=0), **SHORT)
     assert all(f["lead"] and f["kind"] != "formula" for f in content["findings"])
-
-
-def test_what_has_one_sign_has_no_size_and_no_side() -> None:
-    rng = np.random.default_rng(0)
-    values = {"u": 1.0 + rng.normal(size=2000).clip(-3.0) / 2.9, "v": rng.normal(size=2000)}
-    parts = [part for term in terms_of(["u", "v"], values, []) for part in term.parts]
-    assert "u v" in parts
-    assert "u abs(v)" in parts
-    assert "abs(v) v" in parts
-    assert not [part for part in parts if "abs(u)" in part or "max(u, 0)" in part or "min(u, 0)" in part]
 
 
 def test_every_term_of_the_library_is_of_the_grammar_and_has_one_spelling() -> None:
@@ -243,8 +231,6 @@ def test_behind_a_smoother_no_law_is_tried() -> None:
 
 
 SPRING = "mass_spring_damper"
-FRICTION = {"coulomb_friction": {"size": 0.3, "width": 0.002}}
-_FRICTIONS = ("asymmetric_friction", "coulomb_friction", "stribeck_friction")
 
 
 def spring(*effects: str) -> System:
@@ -261,21 +247,6 @@ def test_what_an_effect_contains_is_not_tried_beside_it() -> None:
     assert "coulomb_friction" not in candidate_names(spring("asymmetric_friction"))
     assert "coulomb_friction" not in candidate_names(spring("stribeck_friction"))
     assert "asymmetric_friction" in candidate_names(spring("coulomb_friction"))
-
-
-@pytest.mark.parametrize("name", ["asymmetric_friction", "stribeck_friction"])
-def test_what_stands_in_for_an_effect_starts_as_that_effect(name: str) -> None:
-    made = recorded(SPRING, FRICTION, seed=3, dt=0.02, durations=(6.0,) * 4)
-    rubbing = Search(spring(), made.runs, 1.0, Options(candidates=_FRICTIONS))
-    friction = spring().make_effect("coulomb_friction", FRICTION["coulomb_friction"])
-    system = fitted_system(rubbing.quick(spring().with_effects(friction)))
-    scales = data_sizes(system, rubbing.steps)
-    begun = starts(system, name, scales, ())
-    coulomb = effect_of(system, "coulomb_friction")
-    size = values_of(coulomb)["size"]
-    sizes = [own for own, theirs in effect_class(name).shared(type(coulomb)).items() if theirs == "size"]
-    assert any(all(start[key] == pytest.approx(size) for key in sizes) for start in begun)
-    assert len(begun) == len({tuple(map(str, start.items())) for start in begun})
 
 
 @pytest.mark.parametrize(

@@ -18,44 +18,8 @@ from nsde_torch.models.identified import SysidSpec
 from nsde_torch.recording import Recording
 from nsde_torch.systems import make_system
 from tests.helpers.diagnosed import diagnosed, recorded
-from tests.helpers.sticking import STICKING, sticking_runs
 
 FRICTION = {"coulomb_friction": {"size": 0.3}}
-ALONE: list[tuple[str, str, dict[str, Any]]] = [
-    ("mass_spring_damper", "coulomb_friction", {"size": 0.3}),
-    ("mass_spring_damper", "asymmetric_friction", {"size_forward": 0.5, "size_backward": 0.1}),
-    ("mass_spring_damper", "quadratic_damping", {"damping": 0.6}),
-    ("mass_spring_damper", "cubic_stiffness", {"stiffness": 4.0}),
-    ("mass_spring_damper", "constant_force", {"acceleration": 0.2}),
-    ("mass_spring_damper", "input_delay", {"delay": 0.05}),
-    ("mass_spring_damper", "actuator_lag", {"time_constant": 0.08}),
-    ("mass_spring_damper", "actuator_deadband", {"width": 0.3}),
-    ("mass_spring_damper", "asymmetric_deadband", {"width_forward": 0.5, "width_backward": 0.2}),
-    ("mass_spring_damper", "asymmetric_gain", {"asymmetry": 0.1}),
-    ("mass_spring_damper", "actuator_saturation", {"level": 0.6}),
-    ("mass_spring_damper", "actuator_gain_drift", {"rate": 0.05}),
-    ("cartpole", "coulomb_friction[cart]", {"size": 0.4}),
-    ("cartpole", "viscous_friction[cart]", {"damping": 0.3}),
-    ("cartpole", "viscous_friction[pole]", {"damping": 0.3}),
-    ("cartpole", "coulomb_friction[pole]", {"size": 0.5}),
-    ("cartpole", "track_tilt", {"slope": 0.03}),
-    ("cartpole", "gravity", {"excess": 0.5}),
-]
-
-
-@pytest.mark.parametrize(("system", "name", "values"), ALONE, ids=[name for _, name, _ in ALONE])
-@pytest.mark.slow
-def test_an_effect_alone_is_named_first_and_its_size_lies_near_the_interval(
-    system: str, name: str, values: dict[str, float]
-) -> None:
-    _, content = diagnosed(system, {name: values})
-    assert (content["verdict"], content["added"][0]) == ("effect_found", name)
-    assert any(r["chosen"] and r["effect"] == name for r in content["ranking"])
-    key, value = next(iter(values.items()))
-    parameter = content["parameters"][f"{name}.{key}"]
-    low, high = parameter["interval_90"]
-    assert abs(parameter["value"] - value) < 2 * (high - low) + 0.02 * abs(value)
-    assert content["findings"][0]["p"] < 0.01
 
 
 @pytest.mark.parametrize(
@@ -132,25 +96,6 @@ def test_inputs_that_act_a_fraction_of_a_step_late_are_taken_into_account_and_no
     assert all(v is not None and v < 1.0 for v in errors.values())
 
 
-@pytest.mark.parametrize("size", [1.0, 2.4])  # it stands in a quarter of the rows, and in three quarters
-@pytest.mark.slow
-def test_dry_friction_that_holds_is_named_alone_and_all_values_are_right(size: float) -> None:
-    found = nsde_torch.diagnose(
-        sticking_runs(size, seconds=20.0),
-        system="mass_spring_damper",
-        candidates=["coulomb_friction", "stribeck_friction", "actuator_deadband", "quadratic_damping"],
-    )
-    assert found.added == ["coulomb_friction"]
-    content = found.content()
-    for name, truth in {**STICKING, "coulomb_friction.size": size}.items():
-        entry = {**found.parameters, **content["declared_parameters"]}[name]
-        low, high = entry["interval_90"]
-        assert abs(entry["value"] - truth) < max(1.5 * (high - low) / 2.0, 0.005 * truth)
-    share = content["data"]["standing_share"]
-    assert 0.1 < share < 0.85
-    assert f"{share:.0%} of the rows were left out" in found.report
-
-
 TURN_DEG = [2.0, -1.0, 15.0]
 THERE = {"frame_misalignment", "motor_lag"}
 TILTED = Options(candidates=(*sorted(THERE), "thrust_misalignment", "inertia_coupling"))
@@ -168,8 +113,6 @@ def test_axes_of_the_log_that_are_turned_are_named_and_not_a_tilted_thrust_or_sk
         assert found["unit"] == "rad"
 
 
-# the same law at all but the least speeds
-NOT_TOLD_APART = ["asymmetric_friction", "coulomb_friction + constant_force"]
 RIVALS = Options(candidates=("constant_wind", "linear_drag", "thrust_misalignment"))
 
 
@@ -185,28 +128,6 @@ def test_air_that_moves_is_drag_and_what_else_pushes_steadily() -> None:
     (tie,) = content["ties"]  # all flights point the same way
     assert tie["effects"] == ["constant_wind", "linear_drag + thrust_misalignment"]
     assert "turned by a quarter" in tie["experiment"]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("truth", "names"),
-    [
-        # fewer effects, as good: what is tied says the rest
-        ([{"asymmetric_friction": {"size_forward": 0.26, "size_backward": 0.14}}], NOT_TOLD_APART[:1]),
-        ([{"coulomb_friction": {"size": 0.2}}, {"constant_force": {"acceleration": 0.06}}], NOT_TOLD_APART),
-    ],
-    ids=["stronger one way", "plain, and a push"],
-)
-def test_a_friction_that_is_stronger_one_way_is_tied_with_a_plain_one_and_a_push(
-    truth: list[Any], names: list[str]
-) -> None:
-    making: dict[str, Any] = {"durations": (8.0, 8.0), "dt": 0.02, "plant": {"force_size": 0.7}}
-    _, content = diagnosed("mass_spring_damper", *truth, **making)
-    added = " + ".join(content["added"])
-    assert added in names
-    (tie,) = content["ties"]
-    assert tie["effects"][0] == added
-    assert sorted(tie["effects"]) == NOT_TOLD_APART
 
 
 DT = 0.02

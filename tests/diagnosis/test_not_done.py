@@ -18,7 +18,7 @@ from nsde_torch.data import DataSet, RawRun
 from nsde_torch.diagnosis import pipeline
 from nsde_torch.diagnosis.cross_validation import HeldOut
 from nsde_torch.diagnosis.result import Diagnosis
-from nsde_torch.diagnosis.stages import NotDone, OptionalStages, needed
+from nsde_torch.diagnosis.stages import needed
 from nsde_torch.diagnosis.text import lines
 from nsde_torch.effects import Parameter, Port
 from nsde_torch.errors import DataError, NsdeError
@@ -116,24 +116,6 @@ def test_one_run_alone_refutes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     assert (
         found.outcome.found[0].provisional == "it does not raise the log-likelihood of q_dot on runs left out"
     )
-
-
-@pytest.mark.parametrize(
-    "error",
-    [
-        np.linalg.LinAlgError("Singular matrix"),
-        torch.linalg.LinAlgError("Singular matrix"),
-        FloatingPointError("overflow"),
-        ValueError("array must not contain infs or NaNs"),
-    ],
-)
-def test_what_fails_numerically_is_noted_once(error: Exception) -> None:
-    stages = OptionalStages()
-    for _ in range(2):
-        assert stages.attempt("a stage", raising(error), 7) == 7
-    assert stages.attempt("another stage", lambda: 3, 7) == 3
-    why = f"it could not be computed ({type(error).__name__}: {error})"
-    assert stages.not_done == [NotDone("a stage", why)]
 
 
 def test_a_search_that_fails_numerically_is_an_error_with_a_remedy() -> None:

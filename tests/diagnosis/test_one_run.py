@@ -5,18 +5,11 @@ from functools import cache
 import numpy as np
 import pytest
 
-from nsde_torch.diagnosis.decisions import Options
-from nsde_torch.diagnosis.pipeline import diagnose
 from nsde_torch.diagnosis.residual_tests import (
     Dependence,
     dependences,
     in_one_run,
 )
-from nsde_torch.diagnosis.text import short_lines
-from nsde_torch.models.identified import SysidSpec
-from nsde_torch.recording import assemble
-from nsde_torch.simulation import simulate
-from nsde_torch.systems import make_system
 from tests.helpers.residuals import MadeResiduals, Push
 
 
@@ -59,33 +52,3 @@ def test_a_line_for_each_run_does_not_hide_a_friction_in_one() -> None:
 
 def test_of_two_runs_nobody_knows_which_is_the_odd_one() -> None:
     assert found(lambda q, v, t, run: np.where(run == 1, -0.1 * v, 0.0), 2) is None
-
-
-@pytest.mark.slow
-def test_noise_and_a_louder_run_give_chances_that_are_none_too_small() -> None:
-    p = []
-    for seed in range(100):
-        this = found(None, 4, seed, loud=1.0 if seed % 2 else 2.0)
-        p.append(1.0 if this is None else this.p)
-    assert np.mean(np.array(p) < 0.1) <= 0.16
-    assert min(p) > 1e-4
-
-
-@pytest.mark.slow
-def test_a_friction_in_one_of_five_runs_is_named_with_its_size_in_each() -> None:
-    rough = {"coulomb_friction": {"size": 0.3, "width": 0.01}}
-    sound, worn = (
-        simulate("mass_spring_damper", effects=e, durations=(8.0,) * 5, seed=3).runs for e in ([], [rough])
-    )
-    system = make_system("mass_spring_damper")
-    data = assemble([*sound[:3], worn[3], sound[4]], system, kind="simulated")
-    name = data.runs[3].name
-    spec = SysidSpec(system.name, dt=data.dt, horizon=system.defaults.horizon)
-    content = diagnose(system, spec, data, data.runs, Options()).content()
-    differs = "run_difference[coulomb_friction/size]"
-    assert content["verdict"] == "effect_found"
-    assert set(content["added"]) == {"coulomb_friction", differs}
-    each = {p["run"]: p["value"] for k, p in content["parameters"].items() if k.startswith(differs)}
-    assert each.pop(name) == pytest.approx(0.3, rel=0.1)
-    assert max(map(abs, each.values())) < 0.05
-    assert any(f"{name} 0." in line for line in short_lines(content))

@@ -16,7 +16,7 @@ from torch import Tensor
 import nsde_torch
 from nsde_torch.arrays import Array
 from nsde_torch.data import RawRun
-from nsde_torch.diagnosis.candidates import why_not, without_motion
+from nsde_torch.diagnosis.candidates import why_not
 from nsde_torch.effects import Coordinate, Parameter, Port
 from nsde_torch.systems import Defaults, ResidualPort, System, make_system
 from tests.helpers.diagnosed import assert_interval
@@ -48,24 +48,6 @@ class Car(System):
     def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
         pushed = self.value("engine") * u - self.value("rolling")
         return pushed + forces.get(Port.FORCE, torch.zeros_like(x))
-
-
-@final
-class Tank(System):
-    """The level of a tank, with no coordinate."""
-
-    name = "tank"
-    state_names, state_units = ("level",), ("m",)
-    input_names, input_units = ("valve",), ("1",)
-    ports = {Port.FORCE: 1}
-    residual_ports = {Port.FORCE: ResidualPort(1, 0.01, "m/s")}
-    sensor_noise = True
-    defaults = Defaults(0.2, 20, (0.002,), 0.1, 1.0, "euler_maruyama")
-    PARAMETERS = {"inflow": Parameter(0.05, "m/s", low=0.0), "outflow": Parameter(0.04, "m^0.5/s", low=0.0)}
-
-    def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
-        flow = self.value("inflow") * u - self.value("outflow") * x.clamp_min(1e-6).sqrt()
-        return flow + forces.get(Port.FORCE, torch.zeros_like(x))
 
 
 @final
@@ -245,11 +227,31 @@ def test_a_sound_machine_without_a_position_is_sound_in_slow_and_noisy_rows() ->
     assert not found.content()["guard"]["objections"]
 
 
+@pytest.mark.parametrize(
+    ("strength", "sideways", "slip", "late", "effect", "intervals"),
+    [
+        ((0.92, 1.0), 0.0, 0.0, 0, "actuator_efficiency_loss", {"loss[0]": (0.08, 0.002, 0.02)}),
+        ((1.0, 1.0), 0.0, 0.0, 3, "input_delay[starboard]", {"delay": (0.15, 0.001, 0.01)}),
+        ((1.0, 1.0), 0.012, 0.0, 0, "force[sway] = c1 port_side + c2 starboard",
+         dict.fromkeys(("c1", "c2"), (0.012, 1e-4, 0.002))),
+        ((1.0, 1.0), 0.0, 0.3, 0, "force[surge] = c1 surge abs(turn)", {"c1": (-0.3, 0.01, 0.1)}),
+    ],
+    ids=["the weaker of two propellers", "one input of two is late", "a force that two inputs make",
+         "a drag that grows with turns to both sides"],
+)  # fmt: skip
 @pytest.mark.slow
-def test_the_weaker_of_two_propellers_is_named() -> None:
-    found = nsde_torch.diagnose(sailed((0.92, 1.0), 0.0), system=Boat, say=False)
-    assert found.added == ["actuator_efficiency_loss"]
-    assert_interval(found.parameters, "actuator_efficiency_loss.loss[0]", 0.08, slack=0.002, width=0.02)
+def test_what_moves_a_boat_beside_its_propellers_is_named_with_its_size(
+    strength: tuple[float, float],
+    sideways: float,
+    slip: float,
+    late: int,
+    effect: str,
+    intervals: dict[str, Interval],
+) -> None:
+    found = nsde_torch.diagnose(sailed(strength, sideways, slip, late=late), system=Boat, say=False)
+    assert found.added == [effect]
+    for name, (truth, slack, width) in intervals.items():
+        assert_interval(found.parameters, f"{effect}.{name}", truth, slack=slack, width=width)
 
 
 def test_the_zero_of_a_position_is_a_candidate_where_something_depends_on_it() -> None:
@@ -260,28 +262,6 @@ def test_the_zero_of_a_position_is_a_candidate_where_something_depends_on_it() -
         found = why_not(sprung, "position_bias[q1]")
         assert reason in found
         assert bool(found) == bool(reason)
-
-
-@pytest.mark.slow
-def test_one_input_of_two_that_acts_late_is_named() -> None:
-    found = nsde_torch.diagnose(sailed((1.0, 1.0), 0.0, late=3), system=Boat, say=False)
-    assert found.added == ["input_delay[starboard]"]
-    assert_interval(found.parameters, "input_delay[starboard].delay", 0.15, slack=0.001, width=0.01)
-
-
-@pytest.mark.slow
-def test_a_force_that_two_inputs_make_is_a_law_of_both() -> None:
-    found = nsde_torch.diagnose(sailed((1.0, 1.0), 0.012), system=Boat, say=False)
-    assert found.added == ["force[sway] = c1 port_side + c2 starboard"]
-    for size in ("c1", "c2"):
-        assert_interval(found.parameters, f"{found.added[0]}.{size}", 0.012, slack=1e-4, width=0.002)
-
-
-@pytest.mark.slow
-def test_a_drag_that_grows_with_turns_to_both_sides_is_found() -> None:
-    found = nsde_torch.diagnose(sailed((1.0, 1.0), 0.0, 0.3), system=Boat, say=False)
-    assert found.added == ["force[surge] = c1 surge abs(turn)"]
-    assert_interval(found.parameters, f"{found.added[0]}.c1", -0.3, slack=0.01, width=0.1)
 
 
 def test_what_a_motor_that_turns_one_way_cannot_tell_is_a_tie() -> None:
@@ -309,11 +289,6 @@ def test_what_a_motor_that_turns_one_way_cannot_tell_is_a_tie() -> None:
     assert max(abs(low + high) / 2 for low, high in ends) == pytest.approx(0.2, abs=0.02)
 
 
-def test_a_machine_of_levels_has_effects_of_stores_and_no_word_on_friction() -> None:
-    assert "exchange" in Tank.able_effects()
-    assert without_motion(Tank()) == ("", "")
-
-
 class Lift(System):
     """A ball under an electromagnet: z'' = g - k (i / z)^2, z the gap."""
 
@@ -332,6 +307,7 @@ class Lift(System):
         return torch.cat((x[:, 1:], falls + forces[Port.FORCE] if Port.FORCE in forces else falls), 1)
 
 
+@pytest.mark.slow
 def test_the_zero_of_a_gap_is_found_where_a_force_of_it_is_no_line() -> None:
     """Without it two laws, an inertia and a stop stood for 1.28 mm."""
     rng, dt, bias = np.random.default_rng(5), 0.005, 0.0009

@@ -76,18 +76,6 @@ def test_teeth_along_the_way_are_periodic() -> None:
     assert "periodically" in words.sentence
 
 
-@pytest.mark.slow
-def test_what_happens_in_one_run_only_is_said() -> None:
-    springs = MadeResiduals((10.0,) * 8)
-    left = springs.made(lambda q, q_dot, t, run: np.where(run == 5, -0.02 * np.sign(q_dot), 0.0))
-    found = dependences(left)
-    first = max((d for d in found if d.variable == "q_dot"), key=lambda d: d.excess)
-    assert first.p < 1e-6
-    words = shape(left, first, rates(left.regression, springs.measured), tuple(f"run_{i}" for i in range(8)))
-    assert (words.variable, words.symmetry, words.only_run) == ("q_dot", "odd", 5)
-    assert "in run_5 only" in words.sentence
-
-
 def test_a_push_that_is_constant_in_one_run_is_called_so() -> None:
     words = described(lambda q, t, run: np.where(run == 2, 0.5, 0.0), "run")
     assert words.sentence == "The rate of q_dot is off by a constant, in run_2 only."

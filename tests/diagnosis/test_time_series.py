@@ -15,7 +15,7 @@ from nsde_torch.diagnosis import Diagnosis
 from nsde_torch.diagnosis.report import page
 from nsde_torch.diagnosis.time_series import thinned, time_series
 from tests.helpers.browser import chromium
-from tests.helpers.diagnosed import diagnosed, pushed_spring
+from tests.helpers.diagnosed import pushed_spring
 
 pytestmark = pytest.mark.drawn
 
@@ -81,14 +81,6 @@ def test_predictions_have_a_band_that_holds_nine_in_ten_of_what_was_measured(fou
         inside.extend((ahead["low"] <= ahead["measured"])[kept] & (ahead["measured"] <= ahead["high"])[kept])
     assert np.mean(inside) == pytest.approx(0.9, abs=0.06)
     assert np.std(errors["after"]) < 0.6 * np.std(errors["before"])
-
-
-@pytest.mark.slow
-def test_of_a_single_run_its_end_is_predicted() -> None:
-    one = diagnosed("mass_spring_damper", {"constant_force": {"acceleration": 0.2}}, durations=(30.0,))[0]
-    (shown,) = json.loads(time_series(one))["runs"]
-    assert shown["name"] == one.runs[0]
-    assert shown["ahead"]["t"][0] == pytest.approx(0.7 * 30.0, abs=0.2)
 
 
 def test_of_a_long_log_no_spike_is_lost() -> None:

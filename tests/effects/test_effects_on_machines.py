@@ -9,7 +9,6 @@ from scipy.spatial.transform import Rotation
 
 from nsde_torch.systems import make_system
 from nsde_torch.systems.machines import plant_effects
-from tests.effects.test_formulas import TestLinearDrag as LinearDrag
 from tests.helpers.effect_contract import EffectContract, contract
 from tests.helpers.effect_rows import flying, term
 
@@ -59,13 +58,6 @@ class TestPoleGravity(EffectContract):
 # ---- multirotors -------------------------------------------------------------------------------------------
 
 TestComOffset = contract("com_offset", "hexacopter")
-
-
-def test_drag_takes_energy_at_every_attitude() -> None:
-    x, _, _ = LinearDrag().rows(50)
-    rate = LinearDrag().machine().double().drift(0.0, x, torch.zeros(50, 6).double())
-    force = rate[:, 3:6] - torch.tensor([0.0, 0.0, -9.81]).double()
-    assert bool(((force * x[:, 3:6]).sum(1) < 0).all())
 
 
 def test_rotor_drag_stands_in_for_linear_drag() -> None:
@@ -178,17 +170,6 @@ class TestFrameMisalignment(EffectContract):
         turned = torch.from_numpy(r.inv().apply(there[:, 10:13].numpy()))
         torch.testing.assert_close(here[:, :6], there[:, :6], atol=1e-5, rtol=0)
         torch.testing.assert_close(here[:, 10:13], turned, atol=1e-5, rtol=0)
-
-
-def test_a_weak_motor_lifts_less_and_turns_the_machine() -> None:
-    losses = [0.2, 1e-6, 1e-6, 1e-6]  # front right
-    values = {"thrust_gain": 5.0, "roll_gain": 50.0, "motor_efficiency_loss.loss": losses}
-    s = make_system("quadrotor", effects=["motor_efficiency_loss"], values=values)
-    rate = s.drift(0.0, LEVEL, torch.full((1, 4), 0.5))[0].detach()
-    torch.testing.assert_close(rate[5], torch.tensor(5.0 * 1.9 - 9.81), atol=1e-4, rtol=0)
-    torch.testing.assert_close(rate[10], torch.tensor(50.0 * 0.1), atol=1e-3, rtol=0)  # to the right
-    of_six = make_system("hexacopter", effects=["motor_efficiency_loss"]).all_declared()
-    assert len(of_six["motor_efficiency_loss.loss"][0]) == 6
 
 
 def test_thrust_follows_the_logged_voltage_and_other_columns_may_stand_before_it() -> None:

@@ -152,16 +152,6 @@ def test_a_periodic_force_keeps_its_phase_on_a_clock_that_starts_far_away() -> N
     torch.testing.assert_close(value.detach(), torch.ones(1, 1))
 
 
-def test_special_cases_are_those_of_another_effect() -> None:
-    both = TestAsymmetricFriction().make({"size_forward": 0.2, "size_backward": 0.2, "width": 0.05})
-    plain = TestCoulombFriction().make({"size": 0.2, "width": 0.05})
-    x = torch.randn(20, 2) * 0.1
-    torch.testing.assert_close(term(both, x), term(plain, x))
-    x, _, _ = TestConstantWind().rows(9)
-    calm, drag = TestConstantWind().make({**DRAG, "wind": [0.0, 0.0]}), TestLinearDrag().make(DRAG)
-    torch.testing.assert_close(term(calm.double(), x), term(drag.double(), x))
-
-
 @pytest.mark.parametrize(("thrust", "times"), [(9.81, 1.0), (4 * 9.81, 2.0), (-1.0, 0.0)])
 def test_rotor_drag_is_linear_drag_at_hover_and_twice_that_at_four_times_the_thrust(
     thrust: float, times: float

@@ -12,11 +12,9 @@ from nsde_torch.effects import Law, effect_class
 from nsde_torch.effects.forces import HiddenMass
 from nsde_torch.effects.friction import Hysteresis, InputPlay
 from nsde_torch.effects.multirotor_forces import SlungLoad
-from nsde_torch.errors import ConfigError
 from nsde_torch.systems import make_system
 from tests.helpers.effect_contract import EffectContract, contract
 from tests.helpers.effect_rows import flying
-from tests.helpers.system_contract import solve
 
 
 class TestMotorLag(EffectContract):
@@ -39,22 +37,8 @@ class TestMotorLag(EffectContract):
         expected = before + (after - before) * (1 - np.exp(-t / tau))
         np.testing.assert_allclose(motors, np.tile(expected[:, None], (1, 6)), atol=2e-6)
 
-    def test_a_constant_command_flies_as_without_lag(self) -> None:
-        x, u, _ = self.rows(3)
-        u = u[:, None].expand(3, 50, 6)
-        lagging = solve(self.machine().double(), x, u, 0.01)[..., :13]
-        plain = solve(make_system("hexacopter").double(), x, u, 0.01)
-        torch.testing.assert_close(lagging, plain)
 
-
-class TestActuatorLag(EffectContract):
-    name, system, memory = "actuator_lag", "cartpole", 1
-
-    def test_multirotors_have_motor_lag_instead(self) -> None:
-        with pytest.raises(ConfigError, match="motor_lag"):
-            make_system("quadrotor", effects=["actuator_lag"])
-        with pytest.raises(ConfigError, match="actuator_lag"):
-            make_system("cartpole", effects=["motor_lag"])
+TestActuatorLag = contract("actuator_lag", "cartpole", memory=1)
 
 
 class TestAsymmetricLag(EffectContract):

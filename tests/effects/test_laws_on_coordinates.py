@@ -372,18 +372,6 @@ def test_machines_with_one_input_and_rotors_have_none() -> None:
         assert not [n for n in names if n.partition("[")[0] in EACH and "[" in n]
 
 
-@pytest.mark.parametrize(
-    ("name", "said"),
-    [
-        ("actuator_lag[tau3]", "'tau3' is no input"),
-        ("actuator_efficiency_loss[tau1]", "no law of one coordinate"),
-    ],
-)
-def test_a_name_that_is_no_input_is_refused(name: str, said: str) -> None:
-    with pytest.raises(ConfigError, match=said):
-        make_system(HOME).make_effect(name)
-
-
 def test_a_stop_begins_where_the_data_are() -> None:
     system = make_system("mass_spring_damper", effects=["stop_above"])
     vector = ParameterVector(system)

@@ -128,25 +128,6 @@ class Fragile(NeuralSDE):
         return super().sample(x0, u, **more)
 
 
-@pytest.mark.slow
-def test_divergence_is_counted_and_said_and_pairs_are_of_starts_where_both_are_finite(
-    data: DataSet, tmp_path: Path
-) -> None:
-    fragile = good()
-    fragile.__class__ = Fragile
-    both = [candidate("fragile", fragile), candidate("true", good())]
-    done = compare(both, data, data.runs, seed=0, particles=9)
-    first, second = done.content["models"]
-    x0 = done.grids[0].windows.batch(done.grids[0].starts)[0][:, 0, 0]
-    assert first["diverged"] == int((x0 > 0.1).sum()) > 0
-    assert first["starts"] + first["diverged"] == second["starts"] == done.content["starts"]
-    assert done.content["differences"]["against"]["true"]["starts"] == first["starts"]
-    assert any(
-        n["red"] and f"diverged from {first['diverged']} of" in n["text"] for n in done.content["notes"]
-    )
-    assert "rollouts.png" in [file.name for file in write_figures(tmp_path, done)]
-
-
 def test_a_model_that_diverges_everywhere_has_no_figures_and_the_others_have(
     data: DataSet, tmp_path: Path
 ) -> None:

@@ -200,23 +200,6 @@ def runs() -> list[Run]:
     return decay_runs(3, 100.0, sigma=SIGMA)
 
 
-@pytest.mark.parametrize(
-    ("wrong", "factor", "within"),
-    [
-        *((wrong, 1.0 / wrong, 0.2) for wrong in (0.5, 1.0, 2.0)),
-        (2e-3, 6.0, 0.02),  # as far as the bracket goes
-        (2e3, 1.0, 1e-12),  # intervals that hold too much by every factor are not narrowed
-    ],
-)
-@pytest.mark.slow
-def test_the_factor_undoes_a_sigma_that_is_deliberately_wrong(
-    runs: list[Run], wrong: float, factor: float, within: float
-) -> None:
-    model = fix_sigma(make_model(Decay), wrong * SIGMA)
-    found = Coverage(model, runs, seed=0, compile=False).log_factor()
-    assert found == pytest.approx(math.log(factor), abs=within)
-
-
 def test_coverage_rises_with_the_factor_is_nine_tenths_at_the_truth_and_one_where_paths_diverge(
     runs: list[Run],
 ) -> None:

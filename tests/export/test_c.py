@@ -1,7 +1,6 @@
 """The controller in C: built without a warning, equal to the one in Python, or refused with the reason."""
 
 import functools
-import json
 import math
 import shutil
 import subprocess
@@ -136,14 +135,6 @@ def test_a_step_and_its_slopes_are_those_of_torch_whatever_the_effect(effect: st
     assert sum(map(len, rows)) < 0.9 * slopes.numel()
 
 
-def test_a_model_with_such_an_operation_is_refused_with_the_form_that_takes_it(
-    declared: System, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.delitem(scalar._RULES, "mul")  # type: ignore[arg-type]
-    with pytest.raises(ExportError, match=r"torch's mul, .*format=torchscript"):
-        _written(declared, tmp_path / "controller.c")
-
-
 def _with_branches(x: Tensor) -> tuple[Tensor, ...]:
     a, b, c = x.unbind(1)
     chosen = torch.where(a > 0.5, torch.sqrt(a - 0.5), b * c)
@@ -259,40 +250,41 @@ def test_sample_after_sample_c_does_what_the_controller_does(
     assert all_kinds(words)
 
 
-@needs_compiler
-@pytest.mark.slow
-def test_networks_are_in_c_too(model: NeuralSDE, path: Reference, tmp_path: Path) -> None:
-    out = _compared(model, tmp_path, path, 6)
-    assert out.worst < 1e-8
-    source = (tmp_path / "controller.c").read_text()
-    assert source.count("static void network_") == 2  # one a port, and no third for the prediction
+def _lagging() -> System:
+    return make_system("hexacopter", effects=["motor_lag", "linear_drag"], values=VALUES)
+
+
+def _untrained(physics: bool) -> NeuralSDE:
+    spec = SDESpec("hexacopter", dt=0.05, horizon=20, step="milstein", physics=physics)
+    return NeuralSDE(spec, generator=torch.Generator().manual_seed(1)).eval().requires_grad_(False)
 
 
 @needs_compiler
+@pytest.mark.parametrize(
+    ("known", "options", "most"),
+    [
+        ("model", {}, 1e-8),
+        (_lagging, {}, 1e-8),
+        (lambda: _untrained(False), {}, 1e-7),
+        (lambda: _untrained(True), {"uncertainty_weight": 5.0}, 1e-7),
+        ("declared", {"dtype": torch.float32}, verify.SINGLE_TOLERANCE),
+    ],
+    ids=["networks", "effects that remember", "a black box", "a distance", "single precision"],
+)
 @pytest.mark.slow
-def test_effects_that_remember_are_in_c_too(path: Reference, tmp_path: Path) -> None:
-    lag = make_system("hexacopter", effects=["motor_lag", "linear_drag"], values=VALUES)
-    out = _compared(lag, tmp_path, path, 6)
-    assert out.worst < 1e-8
-    assert "#define NSDE_NZ 19" in (tmp_path / "controller.h").read_text()
-
-
-@needs_compiler
-@pytest.mark.slow
-def test_a_black_box_and_a_distance_are_in_c_too(path: Reference, tmp_path: Path) -> None:
-    for physics, weight in ((False, 0.0), (True, 5.0)):
-        spec = SDESpec("hexacopter", dt=0.05, horizon=20, step="milstein", physics=physics)
-        known = NeuralSDE(spec, generator=torch.Generator().manual_seed(1)).eval().requires_grad_(False)
-        out = _compared(known, tmp_path, path, 4, uncertainty_weight=weight)
-        assert out.worst < 1e-7, (physics, out.differing)
-
-
-@needs_compiler
-@pytest.mark.slow
-def test_single_precision_stays_near_python(declared: System, path: Reference, tmp_path: Path) -> None:
-    out = _compared(declared, tmp_path, path, 12, dtype=torch.float32)
-    assert out.worst < verify.SINGLE_TOLERANCE
+def test_c_plans_as_python(
+    known: Any, options: dict[str, Any], most: float, path: Reference, tmp_path: Path,
+    request: pytest.FixtureRequest,
+) -> None:  # fmt: skip
+    machine = request.getfixturevalue(known) if isinstance(known, str) else known()
+    out = _compared(machine, tmp_path, path, 6, **options)
+    assert out.worst < most
     assert not out.differing
+    if known == "model":
+        source = (tmp_path / "controller.c").read_text()
+        assert source.count("static void network_") == 2  # one a port, and no third for the prediction
+    if known is _lagging:
+        assert "#define NSDE_NZ 19" in (tmp_path / "controller.h").read_text()
 
 
 @needs_compiler
@@ -316,20 +308,3 @@ def test_whatever_it_is_given_an_answer_is_finite_and_within_bounds(file: Path, 
     verify.attack(ExportedController(file), path, 400, out)
     assert out.adversarial == 400
     assert not out.unsafe
-
-
-@needs_compiler
-@pytest.mark.slow
-def test_the_process_around_it_is_small(
-    declared: System, path: Reference, tmp_path: Path, root: Path
-) -> None:
-    _written(declared, tmp_path / "controller.c", horizon=1.0, steps=20)
-    samples = verify.along(ExportedController(tmp_path / "controller.c"), path, 50, period=0.02)
-    torch.cat([torch.cat((x[None], ref)).flatten() for x, ref in samples]).numpy().tofile(
-        tmp_path / "samples.bin"
-    )
-    source, driver = str(root / "benchmarks" / "bench_export_c.c"), str(tmp_path / "driver")
-    parts = (f"-I{tmp_path}", source, str(tmp_path / "controller.c"))
-    _run(str(compiler()), "-std=c99", "-O2", *parts, "-o", driver, "-lm")
-    ran = _run(driver, str(tmp_path / "samples.bin"), "50", "0.02")
-    assert json.loads(ran)["memory_mb"] < 5.0

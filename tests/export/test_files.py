@@ -1,10 +1,6 @@
 """Files of controllers: the same bytes for the same controller, the same plans as the controller, and refusals."""
 
-import itertools
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -17,13 +13,12 @@ from nsde_torch.control.solve import SolverOptions
 from nsde_torch.errors import ConfigError, ExportError
 from nsde_torch.export import container, verify
 from nsde_torch.export.exported import ExportedController
-from nsde_torch.export.graph import graph_of
-from nsde_torch.export.step import STAGES, STATUS, WHOLE, ExportedStep, Stage, packed, run
+from nsde_torch.export.step import STAGES, STATUS, ExportedStep, Stage, run
 from nsde_torch.export.write import controller_of, export
 from nsde_torch.models import NeuralSDE
 from nsde_torch.models.run_directory import save
 from nsde_torch.systems import System
-from tests.helpers.exported import all_kinds, flight, small_controller, step_of, word_of
+from tests.helpers.exported import small_controller, step_of
 
 OPTIONS = {
     "problem": ProblemOptions(horizon=0.3, steps=6),
@@ -76,31 +71,6 @@ def test_what_differs_and_what_is_unsafe_fails() -> None:
     assert not verify.Verification(worst=2e-4).passed
     assert not verify.Verification(differing=["sample 1"]).passed
     assert not verify.Verification(unsafe=["sample 1"]).passed
-
-
-@pytest.mark.slow
-def test_another_process_makes_the_same_bytes_but_for_the_time(
-    file: Path, run_dir: Path, tmp_path: Path, root: Path
-) -> None:
-    program = (
-        "from pathlib import Path; import sys, nsde_torch\n"
-        "sys.path.insert(0, sys.argv[1])\n"
-        "from nsde_torch.export.write import export\n"
-        "from tests.export.test_files import OPTIONS\n"
-        "run, out = Path(sys.argv[2]), Path(sys.argv[3])\n"
-        "export(nsde_torch.load(run), out, run=run, sample=0.01, period=0.02, latency=0.04, **OPTIONS)\n"
-    )
-    again = tmp_path / "again.ts"
-    plain = {k: v for k, v in os.environ.items() if k != "SOURCE_DATE_EPOCH"} | {"PYTHONHASHSEED": "17"}
-    words = [sys.executable, "-c", program, str(root), str(run_dir), str(again)]
-    done = subprocess.run(words, capture_output=True, text=True, check=False, cwd=tmp_path, env=plain)
-    assert done.returncode == 0, done.stderr
-    ours, theirs = container.members_of(file.read_bytes()), container.members_of(again.read_bytes())
-    about, other = (json.loads(members.pop(container.RECORD)) for members in (ours, theirs))
-    assert ours == theirs
-    assert about.pop("written") == "1970-01-01T00:00:00Z" != other.pop("written")
-    assert about == other
-    assert not any(str(root).encode() in content for content in ours.values())
 
 
 def test_a_file_predicts_as_its_model(file: Path, model: NeuralSDE) -> None:
@@ -170,34 +140,6 @@ def test_what_a_file_cannot_hold_is_refused(model: NeuralSDE, run_dir: Path, tmp
 
 def _stages(step: ExportedStep) -> dict[str, Stage]:
     return {name: step.stage(name) for name in STAGES}
-
-
-@pytest.mark.slow
-def test_sample_after_sample_graphs_of_the_step_do_what_the_controller_does(
-    model: NeuralSDE, path: Reference
-) -> None:
-    controller = small_controller(model)
-    step = step_of(controller, model)
-    stages = {name: graph_of(step.stage(name), e) for name, e in step.examples().items()}
-    words = set()
-    for arguments, plan in flight(controller, path):
-        out = run(stages, step.loops, *arguments)
-        words.add(word_of(out, plan, most=1e-9))
-        known = packed(plan, float(controller._jumped[0]), float(controller._solves))
-        assert torch.allclose(out[9], known, atol=1e-8, equal_nan=True)
-    assert all_kinds(words)
-
-
-def test_the_rollout_as_one_stage_or_step_by_step_makes_the_same_plans(
-    declared: System, path: Reference
-) -> None:
-    controller = small_controller(declared, particles=2)
-    step = step_of(controller, declared)
-    whole = {name: step.stage(name) for name in WHOLE}
-    assert set(step.examples(WHOLE)) == set(WHOLE)
-    for arguments, _ in itertools.islice(flight(controller, path), 6):
-        one, other = run(whole, step.loops, *arguments), run(_stages(step), step.loops, *arguments)
-        assert all(torch.equal(a, b) for a, b in zip(one, other, strict=True))
 
 
 def test_a_state_that_is_not_valid_is_bad_whatever_it_says(declared: System) -> None:

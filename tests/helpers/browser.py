@@ -26,11 +26,7 @@ def programs() -> tuple[str, str]:
 
 @contextmanager
 def chromium(profile: Path, *, width: int = 1200, height: int = 1000) -> Iterator[Any]:
-    """A browser with a profile of its own; closed at the end.
-
-    Args:
-        width: Of its window [px].
-    """
+    """A browser with a profile of its own and a window of this size [px]; closed at the end."""
     browser, path = programs()
     from selenium import webdriver
     from selenium.webdriver.chrome.service import Service

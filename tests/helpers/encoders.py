@@ -27,14 +27,10 @@ def encoder_runs(
     seconds: float = 15.0,
     gust: float = 0.02,
 ) -> list[RawRun]:
-    """Runs whose position an encoder measures.
+    """Runs whose position an encoder measures, under dry friction [m/s2] and a white gust [m/s1.5].
 
-    Args:
-        rate: Where the rate is from: "sensor", "truth", "none", or how a user made it (`small_machines.RATES`).
-        friction: Dry friction over mass [m/s2].
-        noise: Of the encoder [m]; ten times as much of a rate's sensor.
-        seconds: Length of each [s].
-        gust: White force over mass, by the root of a second [m/s1.5].
+    The rate is from a "sensor" with ten times the encoder's noise [m], the "truth", "none", or one of
+    `small_machines.RATES`.
     """
     out = []
     for i in range(runs):

@@ -31,11 +31,7 @@ def frames(codec: Codec, rng: random.Random, stamp: float) -> list[bytes]:
 
 
 def hostile(seed: int, *, system: int = 7) -> Iterator[bytes]:
-    """Datagrams without end.
-
-    Args:
-        system: Id under which true frames are sent: another than the vehicle's.
-    """
+    """Datagrams without end; true frames bear the id of another system than the vehicle's."""
     rng, codec = random.Random(seed), Codec(system, 1)
     while True:
         for frame in frames(codec, rng, rng.uniform(0.0, 1e4)):

@@ -10,13 +10,7 @@ G = 9.81
 
 
 def leaning_flight(seconds: float, *, dt: float = 0.01, seed: int = 0, yaw: float = 0.4) -> RawRun:
-    """Positions are sums of sines; the body's third axis is along acceleration plus gravity, the heading turns slowly.
-
-    Args:
-        seconds: Length [s].
-        dt: Step [s].
-        yaw: Amplitude of the heading [rad].
-    """
+    """Positions are sums of sines, the third axis is along acceleration plus gravity, the heading sways [rad]."""
     rng = np.random.default_rng(seed)
     t = dt * np.arange(round(seconds / dt) + 1)
     f, phase = rng.uniform(0.6, 2.5, (3, 5)), rng.uniform(0, 6, (3, 5))

@@ -49,12 +49,9 @@ def straight(data: bytes, now: float) -> list[tuple[float, bytes]]:
 
 @dataclass
 class World:
-    """One vehicle, one flight, and what is between them.
+    """One vehicle, one flight, and what becomes of frames `down` from the vehicle and `up` to it.
 
-    Args:
-        path: The reference; 4 s of hovering by default.
-        down: What becomes of frames from the vehicle; `up`: of those to it.
-        speed: Seconds of the vehicle's clock in one of ours.
+    `speed` is that of the vehicle's clock.
     """
 
     path: PathPoints = field(default_factory=lambda: PathPoints(shapes.hover(duration=4.0, height=1.0)))

@@ -80,13 +80,9 @@ def fly(
     lag: bool = False,
     pilot: bool = False,
 ) -> list[list[Run]]:
-    """One run for each seed, with the stick in the column `stick` and a signal that moves nothing in `idle`.
+    """One run for each seed, with the stick [rad] in the column `stick` and a signal that moves nothing in `idle`.
 
-    Args:
-        controller: One of `CONTROLLERS`.
-        stick: Size of the wanted angle [rad].
-        lag: Whether the actuator lags by `LAG_S`.
-        pilot: Whether the stick follows the machine: it moves against the rate 50 ms later, and is then not exogenous.
+    With a pilot the stick moves against the rate 50 ms later, and is then not exogenous.
     """
     m, n = len(seeds), round(seconds / (_FINE_S * _LOG_EVERY))
     rngs = [np.random.default_rng([seed, 11]) for seed in seeds]

@@ -37,12 +37,7 @@ SPRING = "mass_spring_damper"
 
 
 class MadeResiduals:
-    """A spring that lacks nothing, fitted, whose innovations are drawn anew.
-
-    Args:
-        durations: Lengths of the runs [s].
-        dt: Step [s].
-    """
+    """A spring that lacks nothing, fitted, whose innovations are drawn anew."""
 
     def __init__(self, durations: Sequence[float] = (8.0,) * 4, dt: float = 0.02) -> None:
         system = make_system(SPRING)
@@ -54,12 +49,7 @@ class MadeResiduals:
         self.measured: Measured = measured(self.regression, inputs=True)
 
     def made(self, push: Push | None = None, seed: int | None = 0, *, loud: float = 1.0) -> PhysicsResiduals:
-        """What is left, with a push.
-
-        Args:
-            push: The push; None: none.
-            seed: Of the innovations; None: those of the data.
-        """
+        """What is left, with a push; without a seed the innovations are those of the data."""
         at = self.place.at
         space, about, here = at.of.space, at.about, at.at
         white = here.white.clone()

@@ -133,19 +133,3 @@ def test_inside_a_window_it_is_the_stated_sum() -> None:
     for k in range(2, 10):
         expected = u[0, k] + sum(w[j + 2] * u[0, k + j] for j in range(-2, 3))
         torch.testing.assert_close(made(u, 0.05)[0, k], expected)
-
-
-def test_sampling_restores_logged_inputs_and_leaves_applied_ones() -> None:
-    spec = SDESpec("hexacopter", dt=0.05, horizon=10, step="euler_maruyama", filter_reach=2)
-    model = NeuralSDE(spec, generator=torch.Generator().manual_seed(0)).requires_grad_(False)
-    model.filter.weights.normal_(generator=torch.Generator().manual_seed(1))
-    x0 = torch.zeros(1, 13)
-    x0[:, 6] = 1.0
-    u = 0.4 + 0.05 * inputs(1, 10, n=6).float()
-
-    def sample(u: Tensor, applied: bool) -> Tensor:
-        g = torch.Generator().manual_seed(0)
-        return model.sample(x0, u, dt=0.05, particles=2, generator=g, applied=applied)
-
-    torch.testing.assert_close(sample(u, False), sample(model.applied_inputs(u, 0.05), True))
-    assert not torch.allclose(sample(u, False), sample(u, True))

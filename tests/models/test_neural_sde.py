@@ -2,17 +2,15 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import pytest
 import torch
 from torch import Tensor
 
-from nsde_torch.errors import ConfigError, NonFiniteError, NsdeError, ShapeError
+from nsde_torch.errors import NonFiniteError, NsdeError, ShapeError
 from nsde_torch.models import NeuralSDE, SDESpec
 from nsde_torch.models.ensemble import Chart
-from nsde_torch.sde import brownian
 from nsde_torch.sde.derivative import diffusion_and_slope
 from nsde_torch.systems import make_system
 from tests.helpers.draws import generator
@@ -52,20 +50,6 @@ def test_drift_is_the_declared_physics_with_the_residual_on_its_ports(system: st
     declared = model.system.drift(0.0, x, u[:, 0])
     torch.testing.assert_close(model.drift(0.0, x, u[:, 0]), expected)
     assert float((expected - declared).abs().max()) > 1e-3
-
-
-@pytest.mark.parametrize("system", SYSTEMS)
-@pytest.mark.parametrize("full", [False, True])
-def test_samples_have_the_stated_axes_and_start_at_x0(system: str, full: bool) -> None:
-    model = make(system, measurement=full, disturbance=full)
-    x, u = states(model, 3)
-    out = model.sample(x, u, dt=0.05, particles=4, generator=generator())
-    assert out.shape == (4, 3, 11, model.system.nx)
-    assert bool(torch.isfinite(out).all())
-    torch.testing.assert_close(out[:, :, 0], x.expand(4, 3, -1), rtol=0, atol=2e-7)
-    if model.system.quaternion is not None:
-        norm = out[..., model.system.quaternion].norm(dim=-1)
-        torch.testing.assert_close(norm, torch.ones_like(norm), rtol=0, atol=1e-5)
 
 
 def test_spread_of_the_samples_of_a_disturbed_model_does_not_depend_on_the_step() -> None:
@@ -161,15 +145,6 @@ def test_a_step_that_is_not_positive_and_noise_of_sensors_that_it_has_not_are_re
         model.sample(x, u, **{"dt": 0.05, **wrong}, particles=2, generator=generator())
 
 
-@pytest.mark.parametrize("step", ["rk4", "midpoint"])
-def test_a_model_without_noise_predicts_one_path(step: str) -> None:
-    model = make("cartpole", step=step)
-    x, u = states(model, 2)
-    out = model.sample(x, u, dt=0.02, particles=3, generator=generator())
-    assert out.shape == (3, 2, 11, 4)
-    assert torch.equal(out[0], out[1])
-
-
 @pytest.mark.parametrize("loss", ["replay", "paper"])
 def test_slope_of_the_diffusion_is_the_finite_difference_under_every_loss(loss: str) -> None:
     model = make("mass_spring_damper", dtype=torch.float64, loss=loss)
@@ -201,11 +176,6 @@ def test_no_physics_is_left_in_the_drift() -> None:
     assert torch.equal(model.drift(0.0, x, u), before)
     assert len(model.residuals) == 0
     assert not any(p.requires_grad for p in model.system.parameters())
-
-
-def test_effects_are_refused() -> None:
-    with pytest.raises(ConfigError, match=r"system\.effects"):
-        black_box(replace(BLACK, effects=("constant_force",)))
 
 
 def alike(name: str, n: int = 64, seed: int = 0) -> torch.Tensor:
@@ -294,58 +264,3 @@ def test_predicted_measurements_carry_sensor_noise_at_the_start_and_at_every_lat
     late = out[:, 0, 19:, 0] - out[:, 0, 19:, 0].mean(0)
     shared = 0.2**2 * (1 - DT) ** 39  # only the start's noise is shared by neighbours
     assert float((late[:, 0] * late[:, 1]).mean()) == pytest.approx(shared, abs=0.002)
-
-
-EFFECTS = ("linear_drag", "angular_damping", "motor_lag")
-LEARNED = {"measurement": True, "disturbance": True, "effects": EFFECTS}
-COMPILED = SDESpec("hexacopter", dt=0.05, horizon=5, step="milstein", **LEARNED)
-
-
-def model(seed: int, kind: str) -> NeuralSDE:
-    spec = SDESpec.from_dict({**COMPILED.as_dict(), "loss": kind})
-    return NeuralSDE(spec, generator=torch.Generator().manual_seed(seed))
-
-
-def paths(sde: NeuralSDE, batch: int, *, compile: bool) -> Tensor:
-    g = torch.Generator().manual_seed(batch)
-    x0 = 0.3 * torch.randn(batch, 13, generator=g)
-    x0[:, 6] = 3.0
-    x0 = sde.project(x0)
-    u = 0.4 + 0.05 * torch.randn(batch, 5, 6, generator=g)
-    noise = brownian(2, batch, 5, sde.nz, dt=0.05, generator=g)
-    start = torch.randn(2, batch, sde.n_start, generator=g)
-    given = {"noise": noise, "start": start, "std": sde.measurement_std, "t0": torch.zeros(batch)}
-    return sde.paths(x0, u, dt=0.05, compile=compile, **given)
-
-
-def gradients(sde: NeuralSDE, batch: int, *, compile: bool) -> dict[str, Tensor]:
-    sde.zero_grad()
-    path = paths(sde, batch, compile=compile)
-    path[:, :, 1:].square().mean().backward()
-    found = {name: p.grad.clone() for name, p in sde.named_parameters() if p.grad is not None}
-    return {"path": path.detach(), **found}
-
-
-@pytest.mark.usefixtures("compiler")
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["replay", "paper"])
-def test_compiled_hexacopter_gives_the_eager_paths_and_gradients(kind: str) -> None:
-    sde = model(0, kind)
-    fast, slow = gradients(sde, 7, compile=True), gradients(sde, 7, compile=False)
-    assert fast.keys() == slow.keys()
-    some = {"h.slope", "log_tau", "system.raw.yaw_gain", "residuals.body_moment.layers.0.weight"}
-    assert some <= fast.keys()
-    for name, value in slow.items():
-        scale = float(value.abs().max())
-        assert torch.allclose(fast[name], value, rtol=1e-4, atol=2e-5 * max(scale, 1e-3)), name
-    if kind == "paper":
-        return
-    other = model(1, kind)
-    with torch.no_grad():
-        paths(sde, 6, compile=True)
-    with torch._dynamo.config.patch(error_on_recompile=True):
-        fast = gradients(other, 7, compile=True)
-        assert torch.allclose(fast["path"], gradients(other, 7, compile=False)["path"], atol=1e-5)
-        with torch.no_grad():
-            path = paths(other, 3, compile=True)
-    assert torch.allclose(path, paths(other, 3, compile=False), atol=1e-5)

@@ -8,11 +8,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from nsde_torch.errors import ConfigError, ShapeError
+from nsde_torch.errors import ConfigError
 from nsde_torch.policy import BatchEnvironment, Dynamics, make_task, make_truth
 from nsde_torch.policy.learned import PUBLISHED_VARIANCES, PlantDynamics
 from nsde_torch.recording import read
-from nsde_torch.simulation import make_plant
 from nsde_torch.systems import make_system
 from tests.helpers.draws import generator
 
@@ -89,20 +88,6 @@ def test_machines_in_a_batch_do_what_each_does_alone(name: str) -> None:
             torch.testing.assert_close(made.reward[0], rewards[k][row], rtol=0, atol=1e-6)
 
 
-def test_truth_is_the_plant() -> None:
-    x0 = TASK.training.draw(5, generator())
-    plant = make_plant("cartpole", generator=generator(), process_noise=0.0, sensor_noise=0.0)
-    plant.reset(x0, torch.zeros(5, 1))
-    true = environment(quiet(), 5)
-    true.reset(x0)
-    for k in range(50):
-        action = 2 * torch.rand(5, 1, generator=generator(k)) - 1
-        plant.step(25.0 * action)
-        made = true.step(action)
-        torch.testing.assert_close(true.dynamics.state, plant.state, rtol=0, atol=0)
-        torch.testing.assert_close(made.observation, TASK.observe(plant.state).float(), rtol=0, atol=0)
-
-
 def test_published_truth_is_eulers_method_on_the_gym_cartpole() -> None:
     x, v, theta, w = 0.3, -0.4, 2.9, 0.5
     truth = quiet("published")
@@ -170,20 +155,3 @@ def test_machine_that_leaves_the_finite_numbers_ends_its_episode_alone() -> None
         assert bool(torch.isfinite(made.last).all())
         assert bool(torch.isfinite(made.reward).all())
     assert ended == [[False] * 3, [False] * 3, [True, False, False], [False] * 3, [False] * 3]
-
-
-def test_what_does_not_fit_is_refused() -> None:
-    machines = environment(quiet(), 2)
-    with pytest.raises(ConfigError, match="n_envs"):
-        environment(quiet(), 0)
-    with pytest.raises(ShapeError, match="x0"):
-        machines.reset(torch.zeros(3, 4))
-    machines.reset()
-    with pytest.raises(ShapeError, match="action"):
-        machines.step(torch.zeros(2))
-    for name, system, said in (
-        ("gym", "cartpole", "plant, published"),
-        ("published", "hexacopter", "cartpole alone"),
-    ):
-        with pytest.raises(ConfigError, match=said):
-            make_truth(name, system=system, dt=0.02, sensor_noise=1.0, generator=generator())

@@ -7,8 +7,7 @@ import torch
 
 from nsde_torch.errors import ConfigError
 from nsde_torch.models import EnsembleSpec, GaussianEnsemble, Model, NeuralSDE, SDESpec
-from nsde_torch.policy import BatchEnvironment, make_learned, make_task
-from nsde_torch.policy.learned import _SampledDynamics
+from nsde_torch.policy import make_learned, make_task
 from tests.helpers.draws import generator
 from tests.helpers.toy_systems import fix_sigma
 
@@ -114,30 +113,3 @@ def test_what_a_model_cannot_do_is_refused() -> None:
         learned(model(), propagation="fixed")
     with pytest.raises(ConfigError, match="fixed or redrawn"):
         learned(ensemble(), propagation="both")
-
-
-def test_any_other_model_is_asked_for_one_step_at_a_time() -> None:
-    own: Model = model(kind="node", step="rk4")
-    x0, u = start(3)
-    path = own.sample(x0, u, dt=0.02, particles=1, generator=generator(), measurement=False)[0]
-    machines = _SampledDynamics(own, dt=0.02, generator=generator())
-    assert torch.equal(machines.reset(x0), x0)
-    for k in range(20):
-        machines.step(u[:, k])
-    torch.testing.assert_close(machines.state, path[:, -1], rtol=1e-5, atol=1e-5)
-    machines.restart(torch.tensor([1]), x0[:1])
-    torch.testing.assert_close(machines.state[1], x0[0])
-    torch.testing.assert_close(machines.state[0], path[0, -1], rtol=1e-5, atol=1e-5)
-
-
-def test_episodes_in_a_model_run_through_to_the_next() -> None:
-    stepped, start = learned(model(kind="blackbox_nsde", physics=False)), TASK.training
-    machines = BatchEnvironment(TASK, stepped, n=8, generator=generator(), start=start, stagger=True)
-    seen = machines.reset()
-    ends = 0
-    for _ in range(TASK.steps + 1):
-        made = machines.step(torch.zeros(8, 1))
-        ends += int((made.truncated | made.terminated).sum())
-        assert bool(torch.isfinite(made.observation).all())
-        assert made.observation.dtype == seen.dtype == torch.float32
-    assert ends >= 8

@@ -16,6 +16,7 @@ from nsde_torch.px4.flight.flying import FlightReport, Recorder
 from nsde_torch.px4.flight.safety import Limits, Phase
 from nsde_torch.px4.link import dialect as d
 from nsde_torch.px4.link.dialect import mavlink
+from nsde_torch.px4.options import FlightOptions
 from tests.helpers.fuzzed import hostile
 from tests.helpers.px4_world import (
     START,
@@ -347,16 +348,14 @@ def test_a_bad_line_is_flown_through_or_landed_on(line: Line, flown: bool) -> No
     assert world.flight.outcome.tracked == flown, world.says
 
 
-def test_messages_of_another_system_are_not_believed() -> None:
-    other = stranger(system=7)
-
-    def attack(world: World) -> None:
-        if world.phase is not Phase.CONNECT:
-            world.inject(false_mode(other) + false_state(other, 5000.0))
-
-    world = World(path=SHORT).run(attack)
-    assert world.flight.outcome.tracked
-    assert world.endpoint.codec.counts["foreign"] > 1000
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [(delayed(0.5, 0.51), "TIMESYNC is answered after 1."), (lossy(0.7, seed=3), "Hz, less than 70")],
+)
+def test_a_line_that_is_too_slow_or_loses_too_much_is_refused_before_arming(line: Line, said: str) -> None:
+    world = World(path=SHORT, down=line, up=line, options=FlightOptions(checks=2.0)).run()
+    assert said in world.trouble.text
+    assert not world.setpoints
 
 
 def test_with_signing_on_unsigned_and_wrongly_signed_messages_are_dropped() -> None:

@@ -9,7 +9,6 @@ from nsde_torch.data import DataSet, RawRun
 from nsde_torch.data.quaternion import conjugate, rotate
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.recording import Recording, assemble
-from nsde_torch.recording.fault import STAGES, level
 from nsde_torch.recording.faults import FAULTS
 from nsde_torch.recording.times import no_finer
 from nsde_torch.simulation import simulate
@@ -323,27 +322,6 @@ def test_a_velocity_of_another_scale_in_one_run_is_named_and_sound_runs_are_not(
         assert [f.run for f in odd] == (["run_1"] if scale > 1.0 else [])
     assert odd[0].message.startswith("p_y changes 0.95")
     assert "v_y" in odd[0].message
-
-
-def _found(p: dict[str, float], alpha: float) -> set[str]:
-    found = set[str]()
-    for stage in STAGES:
-        found |= {stage} if p[stage] < level(stage, alpha, found) else set()
-    return found
-
-
-def test_shares_sum_to_alpha_where_nothing_is_found() -> None:
-    assert sum(level(stage, 0.01) for stage in STAGES) == pytest.approx(0.01)
-
-
-@pytest.mark.parametrize("true", [set(c) for n in range(3) for c in [STAGES[:n], STAGES[4 - n : 4]]])
-def test_the_chance_of_any_false_finding_is_alpha_whatever_is_there(true: set[str]) -> None:
-    alpha, rng = 0.2, np.random.default_rng(len(true))
-    wrong = 0
-    for _ in range(4000):
-        p = {stage: 0.0 if stage in true else rng.uniform() for stage in STAGES}
-        wrong += bool(_found(p, alpha) - true)
-    assert wrong / 4000 < alpha + 3 * np.sqrt(alpha * (1 - alpha) / 4000)
 
 
 @pytest.mark.parametrize("wrong", [True, False])

@@ -1,6 +1,5 @@
 """Smoothers and moving averages are found where there is one, by name and width, and not where there is none."""
 
-from collections.abc import Callable
 from itertools import product
 from pathlib import Path
 from typing import cast
@@ -8,9 +7,7 @@ from typing import cast
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.interpolate import make_smoothing_spline
-from scipy.ndimage import gaussian_filter1d, uniform_filter1d
-from scipy.signal import butter, lfilter, savgol_filter, sosfilt, sosfiltfilt
+from scipy.signal import lfilter, savgol_filter
 
 from nsde_torch.data import Run
 from nsde_torch.recording import read
@@ -118,48 +115,6 @@ def sensor(seed: int) -> Array:
 
 def seen_in(x: Array) -> Spectra:
     return cast(Spectra, spectra_of([x], DT))
-
-
-SMOOTHERS: dict[str, tuple[Callable[[Array], Array], str]] = {
-    "butterworth twice": (
-        lambda x: sosfiltfilt(butter(4, 10.0, fs=1 / DT, output="sos"), x, axis=0),
-        "Butterworth filter forwards and backwards",
-    ),
-    "butterworth once": (
-        lambda x: sosfilt(butter(2, 8.0, fs=1 / DT, output="sos"), x, axis=0),
-        "causal Butterworth filter",
-    ),
-    "gaussian": (lambda x: gaussian_filter1d(x, 3.0, axis=0), "Gaussian filter"),
-    "mean": (lambda x: uniform_filter1d(x, 9, axis=0), "moving average"),
-    "savitzky-golay": (lambda x: savgol_filter(x, 15, 3, axis=0), "Savitzky-Golay filter"),
-    "spline": (
-        lambda x: np.stack(
-            [make_smoothing_spline(np.arange(len(c)), c, lam=50.0)(np.arange(len(c))) for c in x.T], 1
-        ),
-        "cubic smoothing spline",
-    ),
-}
-
-
-@pytest.mark.parametrize("name", SMOOTHERS)
-@pytest.mark.slow
-def test_the_family_and_the_frequency_response_are_found(name: str) -> None:
-    smooth, family = SMOOTHERS[name]
-    x = sensor(3)
-    seen = seen_in(smooth(x))
-    assert fit(seen, None).deviance > 4.0
-    likely = likeliest(seen)
-    found = likely.smoother
-    assert found.family.name == family
-    assert likely.deviance < 1.0
-    if name == "butterworth twice":  # the noise before the smoother
-        assert np.sqrt(fit(seen, found).noise[:, 0] / (2 * DT)) == pytest.approx(0.01, rel=0.1)
-    impulse = np.zeros((4001, 1))
-    impulse[2000] = 1.0
-    true = np.abs(np.fft.rfft(smooth(impulse)[:, 0]))
-    f = np.fft.rfftfreq(4001, DT)
-    band = (true > 0.05) & (f > 1.0) & (f < (true < 0.05).argmax() * f[1] if (true < 0.05).any() else f > 1.0)
-    assert np.abs(np.abs(found.response(f))[band] / true[band] - 1.0).max() < 0.1
 
 
 @pytest.mark.slow

@@ -9,8 +9,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from nsde_torch.sde import brownian, compiled, make_step, rollout
-from tests.helpers.sde_problems import SmallNetwork, SquareRoot
+from nsde_torch.sde import brownian, make_step, rollout
+from tests.helpers.sde_problems import SmallNetwork
 
 
 def case(batch: int, particles: int = 2) -> tuple[Tensor, Tensor, Tensor, Tensor]:
@@ -47,15 +47,6 @@ def test_a_new_time_or_dt_compiles_nothing_new() -> None:
         with torch._dynamo.config.patch(error_on_recompile=True):
             fast = rollout(sde, z0, u, dt=0.05, step=step, noise=noise, t0=3.0, compile=True)
         assert torch.allclose(fast, rollout(sde, z0, u, dt=0.05, step=step, noise=noise, t0=3.0), atol=1e-5)
-
-
-def test_modules_of_one_architecture_share_their_code_and_other_equations_do_not() -> None:
-    heun = make_step("heun")
-    assert compiled(heun, SmallNetwork()) is compiled(make_step("heun"), SmallNetwork())
-    assert compiled(heun, SmallNetwork()) is not compiled(make_step("milstein"), SmallNetwork())
-    sde = SquareRoot("ito")
-    assert compiled(heun, sde) is compiled(heun, sde)
-    assert compiled(heun, sde) is not compiled(heun, SquareRoot("ito"))
 
 
 WITHOUT_COMPILER = """

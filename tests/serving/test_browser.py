@@ -31,13 +31,7 @@ HOSTILE = "<img src=x onerror='document.title=1'>"
 
 
 class Screen:
-    """What a person does, and sees.
-
-    Args:
-        driver: The browser.
-        address: Of the page, with its key.
-        folder: Where jobs are kept.
-    """
+    """What a person does, and sees, at an address with its key; `folder` keeps the jobs."""
 
     def __init__(self, driver: Any, address: str, folder: Path) -> None:
         self.driver, self.address, self.folder = driver, address, folder

@@ -82,40 +82,6 @@ def test_what_is_no_log_under_a_log_s_name_is_one_sentence(real: Page, suffix: s
     assert real.ask("POST", f"/api/jobs/{job['id']}/diagnose", {}).status_code == 409
 
 
-SOUND = {"q": "q: {from: q}", "q_dot": "q_dot: {from: q_dot}", "force": "force: {from: force}"}
-AGAINST = "The mapping contradicts the data: "
-
-
-@pytest.mark.parametrize(
-    ("mapping", "begins", "holds"),
-    [
-        ("q: {from: speed}", "", "the mapping reads 'speed'"),
-        ("q_dot: {from: q_dot, sign: -1}", AGAINST, "opposite sign"),  # kinematics
-        ("force: {from: force, sign: -1}", AGAINST, "sign"),  # physics
-        ("q: {from: q, unit: mm}", AGAINST, "unit"),
-        *(
-            (none, "", "")
-            for none in ("[", "a: &a [*a]", "columns: 1", "!!python/object/apply:os.system [ls]")
-        ),
-    ],
-)
-@pytest.mark.slow
-def test_a_mapping_that_is_wrong_or_none_is_one_sentence(
-    real: Page, springs: dict[str, bytes], mapping: str, begins: str, holds: str
-) -> None:
-    job = real.drop(springs, SPRING)
-    if holds:
-        entries = SOUND | {mapping.split(":")[0]: mapping}
-        mapping = "columns:\n" + "".join(f"  {entry}\n" for entry in entries.values())
-    real.ask("POST", f"/api/jobs/{job['id']}/inspect", {"system": SPRING, "mapping": mapping})
-    now = real.until(job["id"], lambda j: j["state"] != "looking")
-    assert now["state"] == "refused"
-    assert now["sentence"].startswith(begins)
-    assert holds in now["sentence"]
-    assert "fault" not in now["sentence"]
-    assert [f["name"] for f in now["files"]] == list(springs)
-
-
 def test_a_mapping_of_more_than_a_mapping_takes_is_not_looked_at(
     real: Page, springs: dict[str, bytes]
 ) -> None:

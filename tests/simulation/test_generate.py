@@ -76,13 +76,6 @@ def test_equal_seeds_make_equal_data_and_others_other() -> None:
     assert not np.array_equal(a, c)
 
 
-@pytest.mark.slow
-def test_the_standing_effects_of_a_machine_are_in_the_truth_and_can_be_left_out(flown: Simulation) -> None:
-    standing = {k: v["standing"] for k, v in flown.truth["effects"].items()}
-    assert standing == {"linear_drag": True, "motor_lag": True}
-    assert short("hexacopter", declared_only=True).truth["effects"] == {}
-
-
 def test_a_wind_blows_against_the_drag_that_the_machine_has() -> None:
     system = make_plant_system("hexacopter", effects=[{"constant_wind": {"wind": [2.0, 0.0]}}])
     assert set(system.effect_names) == {"motor_lag", "constant_wind"}
@@ -123,19 +116,3 @@ def test_nothing_is_written_over(tmp_path: Path) -> None:
     assert [p.name for p in (tmp_path / "data").iterdir()] == ["run_0.csv"]
     with pytest.raises(ConfigError, match="outside"):
         write(made, tmp_path / "other", truth=tmp_path / "other" / "truth.json")
-
-
-@pytest.mark.parametrize(
-    ("settings", "word"),
-    [
-        ({"effects": ["friction"]}, "friction"),
-        ({"parameters": {"coulomb_friction.size": 1.0}}, "coulomb_friction"),
-        ({"durations": []}, "durations"),
-        ({"dt": -1.0}, "dt"),
-        ({"seed": -1}, "seed"),
-        ({"options": {"forse": "zero"}}, "forse"),
-    ],
-)
-def test_what_cannot_be_simulated_is_named(settings: dict[str, Any], word: str) -> None:
-    with pytest.raises(ConfigError, match=word):
-        short("mass_spring_damper", **settings)

@@ -1,6 +1,6 @@
 """A plant does what physics says in closed form, and adds the noise that it was told to."""
 
-from math import exp, pi, sqrt
+from math import exp, pi
 from typing import Any
 
 import pytest
@@ -12,7 +12,6 @@ from nsde_torch.errors import ConfigError, NonFiniteError, ShapeError
 from nsde_torch.rotation import rotation_between, turned
 from nsde_torch.simulation import Plant, make_plant
 from nsde_torch.simulation.plant import Gusts
-from nsde_torch.systems import make_system
 from nsde_torch.systems.machine import Gust
 from tests.helpers.draws import generator
 
@@ -36,16 +35,6 @@ def after(plant: Plant, u: Tensor, samples: int) -> Tensor:
     for _ in range(samples):
         x = plant.step(u)
     return x
-
-
-def test_speed_under_linear_drag_decays_to_zero_as_in_closed_form() -> None:
-    plant = quiet(effects={"linear_drag": {"drag": [0.5, 0.15, 0.05]}})
-    start = level()
-    start[0, 3] = 2.0
-    plant.reset(start, hover())
-    x = after(plant, hover(), 300)
-    assert x[0, 3].item() == pytest.approx(2.0 * exp(-0.5 * 3.0), rel=1e-5)
-    assert x[0, 0].item() == pytest.approx(2.0 * (1.0 - exp(-0.5 * 3.0)) / 0.5, rel=1e-5)
 
 
 def test_thrust_follows_a_step_of_the_command_with_the_motor_lag() -> None:
@@ -77,25 +66,6 @@ def test_latency_delays_the_effect_of_a_command_by_exactly_its_time() -> None:
     assert b[0, 5].item() == pytest.approx(push * (0.2 - 0.025), rel=1e-6)
 
 
-@pytest.mark.parametrize("name", ["mass_spring_damper", "cartpole", "hexacopter", "quadrotor"])
-def test_batched_machines_are_the_single_ones(name: str) -> None:
-    system = make_system(name)
-    draw = generator(3)
-    start = 0.3 * torch.randn(4, system.nx, generator=draw, dtype=torch.float64)
-    if system.quaternion is not None:
-        start[:, 6] = 1.0
-    u = torch.rand(20, 4, system.nu, generator=draw, dtype=torch.float64)
-
-    def run(rows: slice) -> Tensor:
-        plant = quiet(name)
-        plant.reset(start[rows], u[0, rows])
-        return torch.stack([plant.step(v[rows]) for v in u])
-
-    together = run(slice(0, 4))
-    for k in range(4):
-        torch.testing.assert_close(together[:, k : k + 1], run(slice(k, k + 1)), rtol=1e-10, atol=1e-12)
-
-
 @pytest.mark.slow
 def test_the_coarse_step_of_the_flights_is_fine_enough() -> None:
     draw = generator(1)
@@ -108,16 +78,6 @@ def test_the_coarse_step_of_the_flights_is_fine_enough() -> None:
             x = plant.step(v)
         ends.append(x)
     torch.testing.assert_close(ends[0], ends[1], rtol=0, atol=2e-5)
-
-
-def test_a_spring_swings_as_in_closed_form() -> None:
-    plant = quiet("mass_spring_damper")
-    plant.reset(torch.tensor([[0.1, 0.0]]), torch.zeros(1, 1))
-    x = after(plant, torch.zeros(1, 1), 500)
-    w = sqrt(1.0 - 0.25**2)
-    t = torch.tensor(5.0, dtype=torch.float64)
-    expected = 0.1 * torch.exp(-0.25 * t) * (torch.cos(w * t) + 0.25 / w * torch.sin(w * t))
-    assert x[0, 0].item() == pytest.approx(float(expected), abs=1e-7)
 
 
 def test_gusts_have_the_variance_and_the_correlation_time_of_their_process() -> None:

@@ -2,14 +2,12 @@
 
 from typing import Any
 
-import numpy as np
 import pytest
 import torch
 
 from nsde_torch.errors import ConfigError, ShapeError
 from nsde_torch.recording.chain import Recording
-from nsde_torch.simulation import Making, Replay, make_plant, replay, simulate
-from nsde_torch.simulation.flights import chosen_flights
+from nsde_torch.simulation import Replay, make_plant, simulate
 
 BRIEF = {"durations": [3.0, 2.5], "options": {"variants": 2, "rounds": 1}}
 QUIET = {"process_noise": 0.0, "sensor_noise": 0.0}
@@ -34,21 +32,6 @@ def test_a_plant_resumes_with_its_memory_its_latency_and_its_clock() -> None:
     torch.testing.assert_close(found, expected, rtol=0, atol=1e-12)
     with pytest.raises(ShapeError, match="`before` must be"):
         plants[1].resume(plants[0].whole_state, commands[30:40])
-
-
-@pytest.mark.slow
-def test_commands_of_the_same_time_fly_the_same_flight(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(replay, "_drawn", lambda *_: ([(0, 80), (1, 300)], [(0, 80), (1, 300)]))
-    settings = {"seed": 1, "durations": [6.0, 5.0], "variants": 12, "rounds": 1, "making": Making(**QUIET)}
-    flights = chosen_flights("hexacopter", **settings)
-    found = replay.replayed_flights("hexacopter", replay=Replay(2), **settings)
-    assert [len(some) for some in found] == [1, 1]
-    for i, k in ((0, 80), (1, 300)):
-        run = found[i][0]
-        np.testing.assert_allclose(run.x, flights[i].x[k - 50 : k + 101], atol=1e-9)
-        np.testing.assert_array_equal(run.u, flights[i].u[k - 50 : k + 101])
-        np.testing.assert_allclose(run.t[[0, -1]], [0.01 * (k - 50), 0.01 * (k + 100)])
-        assert run.extra["intervention"].tolist() == [0.0] * 50 + [1.0] * 101
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from nsde_torch.data import DataSet
 from nsde_torch.errors import ConfigError
 from nsde_torch.simulation import cartpole_episodes, simulated, spring_runs
 from nsde_torch.simulation.pilot import TARGETS, Pilot, Sticks, attained, figures
-from nsde_torch.systems import MACHINES, Hexacopter, make_system
+from nsde_torch.systems import Hexacopter
 
 FIGURES = (
     *("speed_q95_m_per_s", "speed_max_m_per_s", "roll_q95_deg", "roll_max_deg"),
@@ -110,12 +110,6 @@ def test_springs_start_in_the_region_and_carry_the_noise_of_the_supplement() -> 
     assert all(not run.u.any() for run in clean.runs)
     difference = np.concatenate([a.x - b.x for a, b in zip(clean.runs, noisy.runs, strict=True)])
     assert difference.std(0).tolist() == pytest.approx([0.005, 0.01], rel=0.05)
-
-
-def test_every_plant_has_a_recording_and_columns_of_its_system() -> None:
-    assert registry.RECORDINGS.keys() == MACHINES.keys()
-    for name, spec in MACHINES.items():
-        assert len(spec.sensor_std) == len(make_system(name).error_names)
 
 
 class Mine(Hexacopter):  # type: ignore[misc]

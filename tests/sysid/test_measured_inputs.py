@@ -97,6 +97,7 @@ def test_a_force_that_moves_between_rows_acts_as_the_mean_of_both() -> None:
     assert np.allclose(data.runs[0].u[:-1, 0], 0.5 * (runs[0].u[:-1, 0] + runs[0].u[1:, 0]))
 
 
+@pytest.mark.slow
 def test_white_noise_of_a_measured_force_is_taken_out_as_far_as_it_is_known() -> None:
     runs, true = driven(4, noise=0.1), driven(4)
     data, kinds = inputs_of(runs)

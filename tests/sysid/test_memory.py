@@ -144,15 +144,3 @@ def test_short_segments_are_left_out_and_none_left_is_refused() -> None:
     assert steps.segments == ((0, 11),)
     with pytest.raises(DataError, match="no stretch of 50 steps"):
         steps_of(SPRING, [run()], clock=1.0, smooth=False, shortest=50)
-
-
-def test_the_first_steps_of_a_segment_only_bring_up_memory() -> None:
-    lagging = make_system("hexacopter", effects=["motor_lag"])
-    x = np.zeros((900, 13))
-    x[:, 6] = 1.0
-    x[:, 0] = 0.01 * np.arange(900)  # a log in which nothing moves is refused
-    flight = Run("f", 0.01 * np.arange(900), x, np.arange(900.0)[:, None] * np.ones(6))
-    steps = steps_of(lagging, [flight], clock=1.0, smooth=False)
-    assert (len(steps.run_in), len(steps)) == (40, 859)
-    assert steps.run_in.u[-1, 0] == 39
-    assert steps.u[0, 0] == 40

@@ -9,10 +9,9 @@ import numpy as np
 from scipy.signal import lfilter
 
 from nsde_torch.sysid import noise
-from nsde_torch.sysid.noise import Noise, Series, estimate, extended, past
+from nsde_torch.sysid.noise import Noise, Series, estimate, extended
 
 ONE = Series(((0, 6000),))
-LONG = Series(((0, 500), (500, 3000)))
 
 
 def drawn(seed: int, *, carry: float = 0.0, ar: tuple[float, ...] = ()) -> np.ndarray:
@@ -81,17 +80,3 @@ def test_a_series_that_is_known_from_its_past_warns_of_nothing() -> None:
                 law = estimate(r, series, limit=0.9, orders=20, memory=memory)
                 law.whiten(r[:, None], series)
             assert not (np.abs(law.reflection) >= 1.0).any()
-
-
-def test_columns_are_orthonormal_and_blind_to_the_present_the_future_and_other_stretches() -> None:
-    s = np.random.default_rng(0).normal(size=(3000, 2))
-    basis = past(s, LONG)
-    np.testing.assert_allclose(basis.T @ basis, np.eye(basis.shape[1]), atol=1e-9)
-    changed = s.copy()
-    changed[800:] += 3.0  # whitened row 802 is that of step 800
-    span = past(changed, LONG)
-    # the rows before the change span the same space in both
-    early, other = basis[:803], span[:803]
-    left = early - other @ np.linalg.lstsq(other, early, rcond=None)[0]
-    assert np.abs(left).max() < 1e-9
-    np.testing.assert_allclose(basis[[0, 1, 501, 502]], 0.0, atol=1e-12)

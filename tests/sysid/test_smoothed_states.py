@@ -74,7 +74,9 @@ def errors(data: DataSet) -> Array:
     ("smooth", "name"),
     [
         (mean_of_past(6), "causal moving average"),
-        (lambda x: np.asarray(uniform_filter1d(x, 15, axis=0)), "moving average"),
+        pytest.param(
+            lambda x: np.asarray(uniform_filter1d(x, 15, axis=0)), "moving average", marks=pytest.mark.slow
+        ),
     ],
 )
 def test_a_mean_of_the_past_is_not_one_about_each_row(smooth: Filter, name: str) -> None:

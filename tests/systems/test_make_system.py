@@ -4,21 +4,12 @@ import copy
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import torch
 
 from nsde_torch.effects.multirotor_forces import LinearDrag
 from nsde_torch.errors import ConfigError, ShapeError
-from nsde_torch.systems import SYSTEMS, make_system, system_class
-from nsde_torch.systems.parameters import ParameterVector
-
-
-def test_the_four_machines_are_known_by_their_names() -> None:
-    assert set(SYSTEMS) == {"mass_spring_damper", "cartpole", "hexacopter", "quadrotor"}
-    for name, cls in SYSTEMS.items():
-        assert cls.name == name
-        assert system_class(name) is cls
+from nsde_torch.systems import make_system
 
 
 def test_values_reach_the_system_and_its_effects_and_one_number_serves_all_axes() -> None:
@@ -139,50 +130,3 @@ def test_an_effect_finds_its_column_among_those_that_a_machine_is_given() -> Non
     torch.testing.assert_close(told.drift(0.0, x, u), given.drift(0.0, x, u))
     u[:, 7] = 15.0
     assert told.drift(0.0, x, u)[0, 5] < given.drift(0.0, x, u)[0, 5] - 0.1
-
-
-def test_names_units_and_values_are_those_of_the_system_and_then_of_its_effects() -> None:
-    system = make_system("hexacopter", effects=["linear_drag", "motor_lag"])
-    vector = ParameterVector(system)
-    assert vector.labels[0] == "thrust_gain"
-    assert vector.labels[-4:] == [*(f"linear_drag.drag[{i}]" for i in range(3)), "motor_lag.time_constant"]
-    assert vector.units[-4:] == ["1/s", "1/s", "1/s", "s"]
-    assert [p.name for p in vector.places][-2:] == ["linear_drag.drag", "motor_lag.time_constant"]
-    declared = torch.cat([value for value, _ in system.all_declared().values()])
-    np.testing.assert_allclose(vector.start, declared, rtol=1e-5)
-    assert (vector.low[5], vector.high[5]) == (0.3, 1.5)
-    assert vector.low[1] == -np.inf
-    assert vector.moves_memory.tolist() == [False] * 10 + [True]
-
-
-def test_the_drift_is_linear_in_theta_where_the_physics_is() -> None:
-    vector = ParameterVector(make_system("mass_spring_damper"))
-    x = torch.randn(5, 2, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-
-    def drift(theta: torch.Tensor) -> torch.Tensor:
-        vector.use(theta)
-        return vector.system.drift(0.0, x, x[:, :1])
-
-    theta = torch.tensor(vector.start)
-    slopes = torch.func.jacfwd(drift)(theta)
-    away = theta + torch.tensor([0.3, -0.4, 0.5])
-    torch.testing.assert_close(drift(away), drift(theta) + slopes @ (away - theta))
-
-
-def test_values_are_moved_strictly_inside_the_bounds_and_written_those_of_effects_too() -> None:
-    system = make_system("cartpole")
-    vector = ParameterVector(system)
-    inside = vector.inside(np.array([-1.0, 2.0, 0.7]))
-    assert 0 < inside[0] < 1e-5
-    assert 0.949 < inside[1] < 0.95
-    vector.write(system, np.array([-1.0, 2.0, 0.7]))
-    written = {name: float(value) for name, (value, _) in system.all_declared().items()}
-    assert written["half_length"] == pytest.approx(0.7, rel=1e-6)
-    assert written["pole_share"] == pytest.approx(0.95, abs=1e-5)
-    system = make_system("hexacopter", effects=["linear_drag"])
-    vector = ParameterVector(system)
-    theta = vector.start.copy()
-    theta[-3:] = [0.2, 0.3, 0.4]
-    vector.write(system, theta)
-    drag = system.all_declared()["linear_drag.drag"][0]
-    np.testing.assert_allclose(drag, [0.2, 0.3, 0.4], rtol=1e-5)

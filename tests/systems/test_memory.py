@@ -8,7 +8,6 @@ import torch
 from torch import Tensor
 
 from nsde_torch.effects import Effect, Parameter, Port
-from nsde_torch.errors import ShapeError
 from nsde_torch.sde import STEPS, make_step, rollout
 from nsde_torch.systems import System, make_system
 from tests.helpers.effect_rows import flying
@@ -163,9 +162,3 @@ def test_without_inputs_before_or_without_memory_a_start_is_stationary() -> None
     s = hexacopter("motor_lag")
     assert torch.equal(s.remembered(level(2), u[:, 3], None, dt=0.05), s.augment(level(2), u[:, 3]))
     assert torch.equal(hexacopter().remembered(level(2), u[:, 3], u, dt=0.05), level(2))
-
-
-@pytest.mark.parametrize("shape", [(2, 6), (3, 4, 6), (2, 4, 5), (2, 0, 6)])
-def test_inputs_before_that_do_not_fit_are_refused(shape: tuple[int, ...]) -> None:
-    with pytest.raises(ShapeError, match=r"`u_before` must be \(batch=2, steps, nu=6\)"):
-        hexacopter("motor_lag").remembered(level(2), torch.zeros(2, 6), torch.zeros(shape), dt=0.05)

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from nsde_torch.effects import Port
 from nsde_torch.errors import ConfigError
-from nsde_torch.systems import SYSTEMS, System, make_system
+from nsde_torch.systems import System, make_system
 from tests.helpers.effect_rows import flying
 from tests.helpers.system_contract import SystemContract, solve
 
@@ -82,16 +82,6 @@ class MultirotorContract(SystemContract):
             # the mixing is written with three decimals
             np.testing.assert_allclose(rate[k, 10:], expected[10:], rtol=1e-4, atol=3e-3)
 
-    @pytest.mark.parametrize("axis", [0, 1, 2])
-    def test_a_command_along_one_row_of_the_mixing_turns_about_that_axis_alone(self, axis: int) -> None:
-        s = self.make().double()
-        row = torch.tensor(SYSTEMS[self.name].mixing[1 + axis]).double()  # type: ignore[attr-defined]
-        x = LEVEL.double()
-        angular = s.drift(0.0, x, (0.4 + 0.1 * row)[None])[0, 10:].detach()
-        assert float(angular[axis]) > 0.1
-        others = [k for k in range(3) if k != axis]
-        torch.testing.assert_close(angular[others], torch.zeros(2).double(), atol=1e-6, rtol=0)
-
     def test_propellers_that_turn_the_other_way_yaw_the_other_way(self) -> None:
         x, u = self.states(8), self.inputs(8)
         x[:, 10:13] = 0.0
@@ -100,18 +90,6 @@ class MultirotorContract(SystemContract):
         torch.testing.assert_close(other[:, :12], one[:, :12])
         with pytest.raises(ConfigError, match="`yaw_direction` must be 1 or -1"):
             self.make(yaw_direction=0)
-
-    def test_a_free_body_keeps_its_energy_and_its_angular_momentum(self) -> None:
-        s = self.make(values=VALUES).double()
-        x = flying([0.0, 0.0, 0.0], rates=(2.0, 0.3, -1.0)).double()
-        path = solve(s, x, torch.zeros(1, 500, s.nu).double(), 0.005)[0].numpy()
-        inertia, omega = np.array([VALUES["inertia_x"], VALUES["inertia_y"], 1.0]), path[:, 10:13]
-        energy = 0.5 * (inertia * omega**2).sum(1)
-        np.testing.assert_allclose(energy, energy[0], rtol=1e-7)
-        momentum = Rotation.from_quat(np.roll(path[:, 6:10], -1, axis=1)).apply(inertia * omega)
-        np.testing.assert_allclose(momentum, momentum[:1].repeat(len(path), 0), atol=1e-6)
-        assert np.ptp(omega, axis=0).min() > 0.1  # it tumbles: the coupling is at work
-        np.testing.assert_allclose(np.linalg.norm(path[:, 6:10], axis=1), 1.0, atol=1e-12)
 
     def test_first_values_find_the_gains(self) -> None:
         x, u, dt = self.simulated()
@@ -159,21 +137,6 @@ class TestQuadrotor(MultirotorContract):
     name = "quadrotor"
 
 
-@pytest.mark.parametrize("name", GEOMETRY)
-def test_mixing_is_that_of_the_motors_places_and_senses(name: str) -> None:
-    mixing = np.array(SYSTEMS[name].mixing)  # type: ignore[attr-defined]
-    forward, left = (np.array([m[k] for m in GEOMETRY[name]]) for k in (0, 1))
-    sense = [1.0 if m[2] == "cw" else -1.0 for m in GEOMETRY[name]]
-    np.testing.assert_allclose(mixing, [np.ones(len(sense)), left, -forward, sense], atol=1e-3)
-
-
-@pytest.mark.parametrize("name", GEOMETRY)
-def test_neighbouring_propellers_turn_against_each_other(name: str) -> None:
-    around = sorted(GEOMETRY[name], key=lambda m: np.arctan2(m[1], m[0]))
-    senses = [m[2] for m in around]
-    assert all(a != b for a, b in zip(senses, [*senses[1:], senses[0]], strict=True))
-
-
 TOTAL, POLE, LENGTH, G = 1.7, 0.3, 0.8, 9.8
 CART = {"force_gain": 1 / TOTAL, "pole_share": POLE / TOTAL, "half_length": LENGTH}
 
@@ -185,12 +148,6 @@ def accelerations(x: Array, force: float, torque: float = 0.0) -> Array:
     mass = np.array([[TOTAL, arm * np.cos(theta)], [arm * np.cos(theta), 4 / 3 * arm * LENGTH]])
     right = np.array([force + arm * rate**2 * np.sin(theta), arm * G * np.sin(theta) + torque])
     return np.linalg.solve(mass, right)
-
-
-def energy(x: Array) -> Array:
-    _, v, theta, rate = x.T
-    kinetic = 0.5 * TOTAL * v**2 + POLE * LENGTH * np.cos(theta) * v * rate
-    return kinetic + 2 / 3 * POLE * LENGTH**2 * rate**2 + POLE * G * LENGTH * np.cos(theta)
 
 
 class TestCartpole(SystemContract):
@@ -216,13 +173,6 @@ class TestCartpole(SystemContract):
         state, none = torch.from_numpy(x)[None], torch.zeros(1, 1).double()
         found = s.drift(0.0, state, none, port) - s.drift(0.0, state, none)
         np.testing.assert_allclose(found.detach().numpy()[0, [1, 3]], shift, rtol=1e-6)
-
-    def test_energy_is_conserved_through_full_turns(self) -> None:
-        s = self.make(values=CART).double()
-        start = torch.tensor([[0.0, 0.3, 0.2, 1.0]], dtype=torch.float64)
-        path = solve(s, start, torch.zeros(1, 2000, 1).double(), 0.005)[0].numpy()
-        assert np.ptp(path[:, 2]) > 2 * pi
-        np.testing.assert_allclose(energy(path), energy(path)[0], rtol=1e-5)
 
     @pytest.mark.parametrize("turns", [-3, 1, 5])
     def test_the_error_of_the_angle_goes_the_short_way(self, turns: int) -> None:

@@ -153,7 +153,7 @@ def test_every_member_keeps_its_own_best_weights_and_all_stop_together() -> None
 
 
 class TestEnsembleLoop(LoopContract):
-    @pytest.fixture(params=[1, 3, 6, 11, 12])
+    @pytest.fixture(params=[1, 6, 12])
     def killed(self, request: pytest.FixtureRequest) -> int:
         return int(request.param)
 

@@ -36,7 +36,7 @@ def make_fit(
 
 
 class TestFit(LoopContract):
-    @pytest.fixture(params=[1, 3, 6, 12, 13, 14, 17])
+    @pytest.fixture(params=[1, 6, 13, 17])
     def killed(self, request: pytest.FixtureRequest) -> int:
         return int(request.param)
 
@@ -123,13 +123,3 @@ def test_a_checkpoint_that_lacks_a_part_is_refused(checkpoint: Path, lost: str) 
     save_file(tensors, file, metadata=about)
     with pytest.raises(CheckpointError, match=str(file)):
         make_fit().run(title="t", checkpoint=checkpoint, quiet=True)
-
-
-def test_default_loss_moves_eta_by_the_distance_losses_alone() -> None:
-    fit = make_fit()
-    losses = fit.terms()
-    weights = list(fit.model.eta.energy_network.parameters())
-    got = torch.autograd.grad(losses["data"], weights, allow_unused=True, retain_graph=True)
-    assert all(g is None for g in got)
-    got = torch.autograd.grad(losses["convexity"] + losses["gradient"], weights, allow_unused=True)
-    assert any(g is not None and float(g.abs().max()) > 0 for g in got)

@@ -46,14 +46,6 @@ def test_a_training_run_too_short_to_test_on_is_not_left_out_and_that_is_said(tm
     assert "calibration without 'swing_2' left out" in said
 
 
-@pytest.mark.slow
-def test_a_run_that_the_others_cannot_replace_is_not_left_out_and_that_is_said(tmp_path: Path) -> None:
-    metrics, said = run([8.0, 0.15], tmp_path, test=[])
-    assert len(metrics["calibration"]["left_out"]) == 1
-    assert "calibration without 'swing_0' left out" in said
-    assert (tmp_path / "metrics.json").is_file()
-
-
 def test_a_test_run_that_is_too_short_is_refused_before_the_first_step(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"swing_1\) are too short.*hold out longer"):
         run([8.0, 0.08], tmp_path, test=[1])

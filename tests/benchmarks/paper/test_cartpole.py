@@ -1,16 +1,12 @@
 """Checks of the paper's figures follow the models and the numbers: cartpole, spring and policies."""
 
 import math
-from pathlib import Path
 
 import numpy as np
-import pytest
 import torch
 
-from nsde_benchmarks.paper.cartpole import state_evolution, uncertainty_map
-from nsde_benchmarks.paper.policies import learned_in
+from nsde_benchmarks.paper.cartpole import uncertainty_map
 from nsde_torch.data import Run
-from nsde_torch.errors import DataError
 from nsde_torch.models import NeuralSDE, SDESpec
 
 
@@ -54,15 +50,3 @@ def test_a_model_that_knows_the_data_passes_the_map() -> None:
     outcome = uncertainty_map(knowing, episodes(2, 0), episodes(1, 1), data_name="test data", seed=0)
     assert outcome.values["sigma_theta_dot"]["away"] > outcome.values["sigma_theta_dot"]["held_out"]
     assert outcome.values["auroc"] > 0.6
-
-
-def test_the_evolution_compares_both_models_on_the_same_episodes() -> None:
-    outcome = state_evolution({"sde": [model(0)], "ensemble": [model(1)]}, episodes(2, 2), seed=0)
-    assert len(outcome.checks) == 3
-    assert set(outcome.values) == {"sde", "ensemble"}
-    assert outcome.values["sde"]["error_position"].keys() == {"0.5", "1"}
-
-
-def test_a_folder_without_a_study_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match=r"bench_policy\.py"):
-        learned_in(tmp_path, ("nsde",), title="policies", source="a claim")

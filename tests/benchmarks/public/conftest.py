@@ -58,26 +58,6 @@ def emps_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.fixture(scope="session")
-def pendulum_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("pendulum")
-    rng = np.random.default_rng(2)
-    for name, shift in (("ddp", 0.0), ("direct_collocation", 1.0)):
-        t = 0.002 * np.arange(1500)
-        torque = 1.5 * np.sin(3.0 * t + shift) + 0.8 * np.sin(8.0 * t)
-        theta = rate = 0.0
-        rows = np.empty((len(t), 4))
-        for k, u in enumerate(torque):
-            rows[k] = t[k], theta + 1e-4 * rng.standard_normal(), rate + 1e-3 * rng.standard_normal(), u
-            for _ in range(4):
-                rate += 5e-4 * (8.0 * u - 20.0 * np.sin(theta) - 0.5 * rate)
-                theta += 5e-4 * rate
-        path = folder / "results" / f"control_method_{name}" / "data_measured.csv"
-        path.parent.mkdir(parents=True)
-        np.savetxt(path, rows, delimiter=",", header="time,position,velocity,torque", comments="")
-    return folder
-
-
 def hovering(seed: int, rows: int) -> Array:
     """Rows of a flight that hovers and rocks, in the columns of the nano-drone's files; no true flight moves so."""
     rng = np.random.default_rng(seed)

@@ -264,9 +264,10 @@ class DerivedRate(Fault):
 
 @final
 class InputSmoothing(Fault):
-    """Smoothed inputs: u_log(t) = mean of u over [t - w / 2, t + w / 2]."""
+    """Smoothed inputs: u_log(t) = mean of u over [t - w / 2, t + w / 2], or over the last w."""
 
     name = "input_smoothing"
+    past = "width_of_the_past"
     rank = 60
     option = key(0.0, "width of the centred moving average of the inputs", unit="s", low=0)
     mixes_times = True
@@ -281,20 +282,28 @@ class InputSmoothing(Fault):
     def detect(self, log: LoggedRuns) -> Detected | None:
         """Rows that were lost at a regular distance leave such nulls too, in the spectrum of held inputs.
 
-        So the declared physics has to fit better with inputs that are restored.
+        So the declared physics has to fit better with inputs that are restored. It says, too, whether a mean is one
+        about each row or of the past, of which nulls say nothing: of a slider that lacked nothing, behind a mean of the
+        last twelve rows, the current was 47 ms late, and four effects were rejected.
         """
         inputs = len(log.system.input_names)
         width = smoothing.smoothing_width(log.runs, inputs) if inputs else 0.0
         if not width > 0:
             return None
         half = 0.5 * log.runs[0].dt
-        words = f"The log holds a moving average over {width:.3g} s of the inputs that acted."
-        found = Detected(self.name, {"width": (width, width - half, width + half, "s")}, None, words)
-        return found if log.misfit_with(self, found.plain) < log.misfit_with(self, {}) else None
+        between, last = (width, width - half, width + half, "s"), f"the last {width:.3g} s"
+        words = "The log holds a moving average over {} of the inputs that acted."
+        tried = [
+            Detected(self.name, {name: between}, None, words.format(over))
+            for name, over in (("width", f"{width:.3g} s"), (self.past, last))
+        ]
+        misfits = [log.misfit_with(self, found.plain) for found in tried]
+        best = int(np.argmin(misfits))
+        return tried[best] if misfits[best] < log.misfit_with(self, {}) else None
 
     def undo(self, run: Run, system: SystemInfo, values: Mapping[str, float]) -> Run:
-        for width in values.values():
-            run = smoothing.restored(run, len(system.input_names), width)
+        for name, width in values.items():
+            run = smoothing.restored(run, len(system.input_names), width, past=name == self.past)
         return run
 
 

@@ -1,4 +1,4 @@
-"""Finds a centred moving average in the logged inputs by the nulls that it leaves in their spectrum.
+"""Finds a moving average in the logged inputs by the nulls that it leaves in their spectrum.
 
 An average over a time T multiplies the spectrum by sinc(f T): nothing is left at f = k / T, k = 1, 2, ... The depth of
 the spectrum at the first nulls, against the middle of the lobes between them, is a test of T: raw commands have no
@@ -104,11 +104,11 @@ def averaged(u: Array, steps: int) -> Array:
     return u if steps < 1 else np.asarray(convolve1d(u, mean_weights(steps), axis=0, mode="nearest"))
 
 
-def restored(run: Run, n_inputs: int, width: float) -> Run:
-    """A run with inputs as they were before a centred moving average of `width` [s]."""
+def restored(run: Run, n_inputs: int, width: float, *, past: bool = False) -> Run:
+    """A run with inputs as they were before a moving average of `width` [s], centred or of the `past`."""
     u = run.u.copy()
     for a, b in run.segments:
-        u[a:b, :n_inputs] = _unaveraged(u[a:b, :n_inputs], round(width / run.dt))
+        u[a:b, :n_inputs] = _unaveraged(u[a:b, :n_inputs], round(width / run.dt), past)
     return replace(run, u=u)
 
 
@@ -118,16 +118,17 @@ def as_applied(runs: Sequence[Run], n_inputs: int) -> list[Run]:
     return [restored(run, n_inputs, width) for run in runs] if width else list(runs)
 
 
-def _unaveraged(u: Array, steps: int) -> Array:
+def _unaveraged(u: Array, steps: int, past: bool) -> Array:
     n = len(u)
     if steps < 2 or n < 3 * steps:
         return u
-    weights = mean_weights(steps)
-    half = len(weights) // 2
-    average = sparse.diags(list(weights), list(range(-half, half + 1)), shape=(n, n), format="csc")
+    weights = np.full(steps, 1.0 / steps) if past else mean_weights(steps)
+    first = -(len(weights) - 1 if past else len(weights) // 2)
+    last = first + len(weights)
+    average = sparse.diags(list(weights), list(range(first, last)), shape=(n, n), format="csc")
     average = sparse.diags(1.0 / np.asarray(average.sum(1)).ravel()) @ average
     curvature = sparse.diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(n - 2, n), format="csc")
-    inner = slice(half, n - half)  # how the ends were averaged is not known
+    inner = slice(-first, n - last + 1)  # how the ends were averaged is not known
     kept = average[inner]
     normal = (kept.T @ kept + _CURVED**2 * curvature.T @ curvature).tocsc()
     return np.asarray(splu(normal).solve(np.asarray(kept.T @ u[inner])))

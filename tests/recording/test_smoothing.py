@@ -1,5 +1,6 @@
 """Smoothers and moving averages are found where there is one, by name and width, and not where there is none."""
 
+from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
 from typing import cast
@@ -9,8 +10,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import lfilter, savgol_filter
 
-from nsde_torch.data import Run
+from nsde_torch.data import DataSet, Run
 from nsde_torch.recording import read
+from nsde_torch.recording.fault import LoggedRuns
+from nsde_torch.recording.faults import InputSmoothing
 from nsde_torch.recording.smoothers import Spectra, fit, likeliest, spectra_of
 from nsde_torch.recording.smoothing import smoothing_width
 from nsde_torch.systems import make_system
@@ -132,3 +135,21 @@ def test_a_rate_made_of_positions_by_a_polynomial_is_told_from_a_smoothed_one() 
 def test_a_raw_sensor_has_the_form_that_is_assumed() -> None:
     for seed in range(6):
         assert fit(seen_in(sensor(seed)), None).deviance < 0.8
+
+
+@pytest.mark.parametrize("past", [True, False])
+def test_physics_says_whether_a_mean_is_of_the_past(past: bool) -> None:
+    u, rows = commands("steps", 3)[:, :1], 13
+    logged = lfilter(np.ones(rows) / rows, 1.0, u, axis=0) if past else averaged(u, rows)
+    one = Run("a", DT * np.arange(N), np.cumsum(np.concatenate(([[0.0]], DT * u[:-1])), 0), logged)
+
+    def misfit(runs: Sequence[Run], clock: float) -> float:
+        return float(np.log(np.mean([np.square(np.diff(r.x, axis=0) - DT * r.u[:-1]).mean() for r in runs])))
+
+    system = make_system("mass_spring_damper")
+    log = LoggedRuns(cast(DataSet, None), [one], system, alpha=0.01, misfit=misfit)
+    found = InputSmoothing().detect(log)
+    assert found is not None
+    assert found.plain == {InputSmoothing.past if past else "width": pytest.approx(rows * DT)}
+    back = InputSmoothing().undo(one, system, found.plain)
+    assert np.std(back.u - u) < 0.25 * np.std(logged - u)

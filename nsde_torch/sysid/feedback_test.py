@@ -52,6 +52,9 @@ _OWN = (*range(1, 21), 25, 30, 37, 45, 55, 70, 85, 100)
 of them: by ten rows, of sines and steps, a car and two springs that nothing controls were in a closed loop."""
 _OF_A_RUN, _FEWEST_OWN = 0.25, 10  # share of a run, and rows, that the own past takes at most
 _STATES_BEFORE = (1, 2, 3, 5)  # rows whose states a controller may have made an input from
+_MOVES = 5.0
+"""How much more of inputs may move between rows than states are seen to make. By `FACTOR`, a law of a quadrotor's pitch
+command was found beside a wind (closed_loop.py --seed 5801, case_05)."""
 _MADE = 0.02  # share of an input's innovation that past states predict, from which it was made from states
 _FOREKNOWN = 1e-6  # share of an input that is new: below, it is known beforehand and answers nothing
 _UPPER = 1.645  # standard deviations of the upper limit of a share
@@ -483,7 +486,7 @@ def _adjusted(found: Sequence[Answer]) -> tuple[Answer, ...]:
 def lengths(regression: Regression, ways: Sequence[Direction], made: Sequence[float]) -> dict[str, float]:
     """What inputs do in whitened rows, times half of their change from row to row over all of their change.
 
-    Of that as much as states may have made: `FACTOR` times what they are seen to make of the innovation of inputs
+    Of that as much as states may have made: `_MOVES` times what they are seen to make of the innovation of inputs
     (`made`, largest likely shares). Beside a dither that is most of an input a weak controller moves little: of a cart
     behind one, 797 nats of a pole's dry friction counted as what feedback may hide
     (tests/sysid/test_loop.py::test_a_weak_controller_beside_a_dither_hides_little).
@@ -497,7 +500,7 @@ def lengths(regression: Regression, ways: Sequence[Direction], made: Sequence[fl
     for way, most in zip(ways, made, strict=True):
         v = u @ way.weights
         share = 0.5 * float((v[at + 1] - v[at]).std() / max(float(v.std()), 1e-300))
-        share *= min(1.0, FACTOR * float(np.sqrt(most)))
+        share *= min(1.0, _MOVES * float(np.sqrt(most)))
         for channel, slope in zip(way.channels, way.slopes, strict=True):
             summed = regression.single.summed((v - v.mean())[:, None], regression.box)
             acts = slope * summed * physics.steps.dt

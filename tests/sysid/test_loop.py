@@ -169,7 +169,7 @@ def test_a_weak_controller_beside_a_dither_hides_little() -> None:
     regression.run(ITERATIONS)
     ways = directions(regression)
     whole, little = (lengths(regression, ways, [share])["rate"] for share in (1.0, 1e-4))
-    assert little == pytest.approx(0.03 * whole)
+    assert little == pytest.approx(0.05 * whole)
     assert feedback_summary(RateLoop(), _dithered(3, gain=0.05)).between["rate"] < 0.9 * whole
 
 

@@ -20,8 +20,7 @@ from common import options, write_json
 from nsde_torch.data import Run
 from nsde_torch.models.identified import METHODS
 from nsde_torch.simulation import Making, simulated
-from nsde_torch.simulation.flights import fly
-from nsde_torch.simulation.pilot import Pilot, Sticks
+from nsde_torch.simulation.flights import Pilot, Sticks, fly
 from nsde_torch.sysid.identify import identify
 from nsde_torch.systems import MACHINES, System, make_plant_system, make_system
 from nsde_torch.systems.parameters import ParameterVector

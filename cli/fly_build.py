@@ -14,11 +14,11 @@ from nsde_torch.control.loop import DECLARED, knowledge, system_of
 from nsde_torch.control.reference import FlightPath, Reference
 from nsde_torch.effects import files
 from nsde_torch.errors import ConfigError
+from nsde_torch.px4 import SetpointLimits
 from nsde_torch.px4.flight.cascade import CascadeController, PathPoints
 from nsde_torch.px4.flight.controller import Inline, Process, Runner
 from nsde_torch.px4.flight.predictive import LEAD, PredictiveMaker, check_uncovered, without_covered
 from nsde_torch.px4.flight.safety import REFUSED, FlightOutcome, Limits
-from nsde_torch.px4.flight.setpoint import SetpointLimits
 from nsde_torch.px4.link import connection as links
 from nsde_torch.px4.link.codec import signing_key
 from nsde_torch.px4.link.connection import LinkError

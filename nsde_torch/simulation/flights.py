@@ -8,11 +8,14 @@ moved by what flying added to or took from the wanted figures, and all is flown 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import pi
 from typing import Any
 
 import numpy as np
 import torch
+from scipy.fft import next_fast_len
+from scipy.ndimage import gaussian_filter1d
 
 from nsde_torch.arrays import Array
 from nsde_torch.control.cascade import Cascade
@@ -21,9 +24,227 @@ from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import ConfigError
 from nsde_torch.simulation.battery import battery_column, battery_of
 from nsde_torch.simulation.make import Making, noise_generator, simulated_run
-from nsde_torch.simulation.pilot import Path, Pilot, Sticks, figures
 from nsde_torch.systems import Multirotor
 from nsde_torch.systems.machines import make_plant_system
+
+# What a pilot wants: smooth random flights whose envelope is that of the supplement's Figure 15.
+#
+# Each horizontal axis is a slow wander through the room, with quick and quicker corrections on top that come
+# and go,
+#
+#     slow:   p(t) = A e(t) / w(t)^2 sin(phi(t)),   phi' = w,   e = exp(s n(t) - s^2 / 2)
+#     quick:  a(t) = A g(t) (e(t) sin(phi) + tremor),   0 < g < 1, integrated twice above 0.12 Hz
+#
+# with n smooth noise: A is the size of the accelerations and s how uneven they are, which sets apart the 95 %
+# quantile and the maximum; a negative s bounds them instead (tanh). Height wanders about 1.4 m; heading
+# wanders and, once in a data set, turns far. The sizes are found from the figures: level flight ties roll and
+# pitch to acceleration (thrust along a + g + drag), so that they can be read off the wanted path without
+# flying it.
+#
+# Frequencies (slow 0.15 Hz, quick 0.5 Hz) are about those at which velocity and tilt of the published flights
+# have half their power.
+
+TARGETS = (1.71, 2.7, 18.0, 23.0, 13.0, 23.0, 24.0, 80.0)
+"""95 % quantile and maximum of speed [m/s] and of |roll|, |pitch|, |yaw| [deg] (supplement, Figure 15)."""
+
+SLOW_HZ, QUICK_HZ, TREMOR_HZ = 0.15, 0.5, 1.0
+TREMOR = 0.15  # size of the quickest corrections relative to the quick ones
+TRIM_S = 4.0  # time in which the pilot lifts off to, and comes down from, the height of the flight [s]
+LOW, HEIGHT = 0.4, 1.4  # heights at both ends and of the flight [m]
+SHORTEST_S = 2.0
+DRAG = 0.15  # of the machines, along x and y of the body [1/s]
+
+
+@dataclass(frozen=True)
+class Sticks:
+    """Sizes of the pilot's inputs."""
+
+    slow: float = 0.8  # acceleration of the slow wander [m/s2]
+    slow_spread: float = 0.4  # how uneven it is
+    quick: tuple[float, float] = (1.2, 1.8)  # acceleration of the quick corrections along x and y [m/s2]
+    quick_spread: tuple[float, float] = (0.3, 0.1)  # how uneven they are; negative: how tightly bounded
+    yaw: float = 0.15  # wander of the heading [rad]
+    turn: float = 1.2  # the one far turn [rad]
+
+    def as_row(self) -> Array:
+        """The sizes as one row of 8."""
+        return np.array([self.slow, self.slow_spread, *self.quick, *self.quick_spread, self.yaw, self.turn])
+
+    @classmethod
+    def from_row(cls, row: Array) -> Sticks:
+        """The inverse of `as_row`."""
+        a = [float(v) for v in row]
+        return cls(a[0], a[1], (a[2], a[3]), (a[4], a[5]), a[6], a[7])
+
+
+@dataclass(frozen=True)
+class Path:
+    """What the pilot wants of one run, sample by sample; heading and its rate in rad and rad/s."""
+
+    p: Array
+    v: Array
+    a: Array
+    yaw: Array
+    yaw_rate: Array
+
+
+def _smooth(rng: np.random.Generator, n: int, time: float, dt: float) -> Array:
+    """Smooth Gaussian noise (n,) of unit variance with the correlation time `time` [s]."""
+    width = time / dt
+    pad = int(4 * width) + 1
+    rough = gaussian_filter1d(rng.standard_normal(n + 2 * pad), width, mode="constant")[pad : pad + n]
+    return np.asarray(rough * np.sqrt(2.0 * np.sqrt(pi) * width))
+
+
+@dataclass(frozen=True)
+class _Mood:
+    """The random part of one run: noises and phases, drawn once and kept while the sizes are found."""
+
+    ramp: Array
+    slow: tuple[tuple[Array, Array, Array], ...]  # x, y: sin / w^2, envelope noise
+    quick: tuple[tuple[Array, Array, Array], ...]
+    tremor: tuple[tuple[Array, Array, Array], ...]
+    active: tuple[Array, ...]  # x, y: how much the quick corrections are at work
+    height: Array
+    yaw: Array
+    turn: Array
+
+
+def _ramp(n: int, dt: float) -> Array:
+    """From 0 to 1 and back, smooth to the second derivative, over `TRIM_S` at both ends."""
+    trim = min(TRIM_S, 0.35 * n * dt)
+    t = dt * np.arange(n)
+    s = np.clip(np.minimum(t, t[-1] - t) / trim, 0.0, 1.0)
+    return np.asarray(s**3 * (10.0 - 15.0 * s + 6.0 * s * s))
+
+
+def _wave(rng: np.random.Generator, n: int, hertz: float, dt: float) -> tuple[Array, Array, Array]:
+    w = 2.0 * pi * hertz * np.exp(0.2 * _smooth(rng, n, 1.5 / hertz, dt))
+    phase = rng.uniform(0.0, 2.0 * pi) + np.cumsum(w) * dt
+    # bounded smoothly: a kink would be a jump of the acceleration
+    return np.sin(phase), w, 2.5 * np.tanh(_smooth(rng, n, 1.2 / hertz, dt) / 2.5)
+
+
+def _mood(rng: np.random.Generator, n: int, dt: float, *, turns: bool) -> _Mood:
+    slow = (_wave(rng, n, SLOW_HZ, dt), _wave(rng, n, SLOW_HZ, dt))
+    quick = (_wave(rng, n, QUICK_HZ, dt), _wave(rng, n, QUICK_HZ, dt))
+    tremor = (_wave(rng, n, TREMOR_HZ, dt), _wave(rng, n, TREMOR_HZ, dt))
+    active = tuple(0.5 + 0.5 * np.tanh(2.0 * _smooth(rng, n, 1.5, dt) + 1.0) for _ in range(2))
+    height = 0.8 * np.tanh(0.5 * _smooth(rng, n, 0.8, dt))
+    # headings are held for a while: soft rounding to multiples of 2/3 of the standard deviation
+    rough = 1.5 * _smooth(rng, n, 2.0, dt)
+    yaw = (rough - 0.85 / (2.0 * pi) * np.sin(2.0 * pi * rough)) / 1.5
+    t = dt * np.arange(n)
+    at, sign = rng.uniform(0.3, 0.7) * n * dt, rng.choice((-1.0, 1.0))
+    width = min(2.0, 0.06 * n * dt)
+    turn = sign * np.exp(-0.5 * ((t - at) / width) ** 4) if turns else np.zeros(n)
+    return _Mood(_ramp(n, dt), slow, quick, tremor, active, height, yaw, turn)
+
+
+def _uneven(noise: Array, spread: float) -> Array:
+    """Envelope exp(s n - s^2 / 2); 1 for s <= 0."""
+    return np.asarray(np.exp(spread * noise - 0.5 * spread**2)) if spread > 0 else np.ones_like(noise)
+
+
+def _twice_integrated(a: Array, dt: float) -> Array:
+    """Positions (n,) of accelerations (n,) without what is slower than about 0.12 Hz, which would drift."""
+    padded = next_fast_len(len(a) + round(20.0 / dt))
+    f2 = np.fft.rfftfreq(padded, dt) ** 2
+    # -1 / (2 pi f)^2 times (f^2 / (f^2 + f0^2))^2, written so that f = 0 needs no care
+    filtered = np.fft.rfft(a, padded) * (-f2 / (f2 + 0.12**2) ** 2 / (4.0 * pi**2))
+    return np.asarray(np.fft.irfft(filtered, padded)[: len(a)])
+
+
+def _path(mood: _Mood, sticks: Sticks, dt: float) -> Path:
+    p = np.empty((len(mood.ramp), 3))
+    for k in range(2):
+        sine, w, noise = mood.slow[k]
+        p[:, k] = sticks.slow * _uneven(noise, sticks.slow_spread) / (w * w) * sine
+        spread = sticks.quick_spread[k]
+        quick = mood.quick[k][0] * _uneven(mood.quick[k][2], spread) + TREMOR * mood.tremor[k][0]
+        if spread < 0:
+            quick = np.tanh(-3.0 * spread * quick) / np.tanh(-3.0 * spread)
+        p[:, k] += _twice_integrated(sticks.quick[k] * mood.ramp * mood.active[k] * quick, dt)
+    p[:, :2] *= mood.ramp[:, None]
+    p[:, 2] = LOW + mood.ramp * (HEIGHT - LOW + mood.height)
+    # the wander makes room for the far turn, so that the turn alone sets the largest heading
+    yaw = mood.ramp * sticks.yaw * mood.yaw * (1.0 - np.abs(mood.turn)) + sticks.turn * mood.turn
+    p, yaw = gaussian_filter1d(p, 0.08 / dt, axis=0), gaussian_filter1d(yaw, 0.08 / dt)
+    v = np.gradient(p, dt, axis=0)
+    return Path(p, v, np.gradient(v, dt, axis=0), yaw, np.gradient(yaw, dt))
+
+
+def attained(path: Path) -> Array:
+    """Speed [m/s] and |roll|, |pitch|, |yaw| [deg] of flying a path exactly, (4, n)."""
+    force = path.a + DRAG * path.v * np.array([1.0, 1.0, 0.0]) + np.array([0.0, 0.0, 9.81])
+    c, s = np.cos(path.yaw), np.sin(path.yaw)
+    fx, fy = c * force[:, 0] + s * force[:, 1], c * force[:, 1] - s * force[:, 0]
+    pitch, roll = np.arctan2(fx, force[:, 2]), np.arctan2(-fy, np.hypot(fx, force[:, 2]))
+    speed = np.linalg.norm(path.v, axis=1)
+    return np.stack([speed, *np.degrees(np.abs([roll, pitch, path.yaw]))])
+
+
+def figures(values: Array) -> Array:
+    """95 % quantiles and maxima of rows (4, n), in the order of `TARGETS` (8,)."""
+    return np.stack([np.quantile(values, 0.95, axis=1), values.max(axis=1)], axis=1).reshape(-1)
+
+
+class Pilot:
+    """The pilot of one data set, of runs of some lengths [s]; ConfigError where there is none, or one too short."""
+
+    def __init__(self, durations: Sequence[float], *, dt: float, seed: int) -> None:
+        if not durations or min(durations) < SHORTEST_S:
+            raise ConfigError(
+                f"`durations` of flights must be one or more times of {SHORTEST_S:g} s or longer; "
+                f"got {list(durations)}."
+            )
+        self.dt, self.targets = dt, np.array(TARGETS)
+        self.rows = [round(d / dt) + 1 for d in durations]
+        rng = np.random.default_rng([seed, 1])
+        turning = int(rng.integers(len(durations)))
+        self._moods = [_mood(rng, n, dt, turns=k == turning) for k, n in enumerate(self.rows)]
+        self._rng = rng
+
+    def paths(self, sticks: Sticks) -> list[Path]:
+        """What the pilot wants of each run with sticks of this size."""
+        return [_path(mood, sticks, self.dt) for mood in self._moods]
+
+    def rehearse(self, start: Sticks, aim: Array) -> Sticks:
+        """Sizes for which the wanted paths have the figures `aim` (8,), by fixed-point iteration.
+
+        Figures that the random part cannot reach are left as near as the bounds of the sizes allow.
+        """
+        sticks = start
+        for k in range(40):
+            now = figures(np.concatenate([attained(path) for path in self.paths(sticks)], axis=1))
+            rate = 0.7 if k < 20 else 0.35
+            quantile = (aim[0::2] / now[0::2]) ** rate  # speed, roll, pitch, yaw
+            shape = rate * 0.7 * np.log((aim[1::2] / aim[0::2]) / (now[1::2] / now[0::2]))
+            sticks = replace(
+                sticks,
+                slow=float(np.clip(sticks.slow * quantile[0] ** 1.3, 0.05, 2.5)),
+                slow_spread=float(np.clip(sticks.slow_spread + shape[0], 0.0, 1.4)),
+                quick=(
+                    float(np.clip(sticks.quick[0] * quantile[2], 0.1, 5.0)),
+                    float(np.clip(sticks.quick[1] * quantile[1], 0.1, 5.0)),
+                ),
+                quick_spread=(
+                    float(np.clip(sticks.quick_spread[0] + shape[2], -1.0, 1.0)),
+                    float(np.clip(sticks.quick_spread[1] + shape[1], -1.0, 1.0)),
+                ),
+                yaw=float(np.clip(sticks.yaw * quantile[3], 0.01, 0.5)),
+                turn=float(np.clip(sticks.turn * (aim[7] / now[7]) ** rate, 0.1, 2.0)),
+            )
+        return sticks
+
+    def variants(self, sticks: Sticks, count: int, spread: float) -> list[Sticks]:
+        """The sizes themselves and `count` - 1 others near them."""
+        row = sticks.as_row()
+        scale = np.array([1.0, 0.0, 1.0, 1.0, 0.0, 0.0, 1.0, 0.6])
+        shift = np.array([0.0, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0])
+        draws = spread * self._rng.uniform(-1.0, 1.0, (count - 1, 8))
+        return [sticks, *(Sticks.from_row(row * np.exp(scale * d) + shift * d) for d in draws)]
+
 
 DURATIONS = (73.0, 66.0, 64.0)  # lengths of the flights of the supplement [s]
 RESPONSE = (1.07, 1.06, 1.36, 1.36, 1.27, 1.33, 1.02, 1.03)

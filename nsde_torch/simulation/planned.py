@@ -14,9 +14,9 @@ from nsde_torch.data.csv_folder import csv_rows
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.simulation.battery import battery_column
+from nsde_torch.simulation.flights import Path as Wanted
 from nsde_torch.simulation.flights import fly
 from nsde_torch.simulation.make import Making, noise_generator, record, simulated_run
-from nsde_torch.simulation.pilot import Path as Wanted
 
 PLAN, DESIGN = "plan.csv", "design.json"
 

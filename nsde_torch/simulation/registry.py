@@ -4,16 +4,24 @@ Every random number comes from `seed`. The runs pass the same checks as measured
 set is a `DataSet` like any other, of kind `simulated`.
 """
 
+import functools
+import hashlib
+import json
+import os
+import zipfile
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from nsde_torch.cache import cache_folder
 from nsde_torch.control.shapes import from_csv
 from nsde_torch.data import DataSet, RawRun, SystemInfo
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.recording import assemble
-from nsde_torch.simulation import cache as _cache
 from nsde_torch.simulation import cartpole, flights
 from nsde_torch.simulation.cartpole import cartpole_episodes
 from nsde_torch.simulation.excitation import excited_runs, spring_runs
@@ -25,6 +33,60 @@ from nsde_torch.systems import Multirotor, System, make_system
 from nsde_torch.systems.machine import Excitation
 from nsde_torch.systems.machines import Effects, machine, make_plant_system, named_effects
 from nsde_torch.systems.options import key_of_class
+
+# Simulated runs on disk: one `.npz` for each hash of their settings and of the source files that a simulation runs
+# through, so that no change of the code can be answered with old runs. A file that cannot be read is made anew. Writers
+# take turns by nothing but an atomic rename: the last one wins, with equal content.
+
+_SOURCES = (
+    *("simulation", "systems", "effects", "sde"),
+    *("control/cascade.py", "rotation.py", "data/quaternion.py"),
+)
+
+
+@functools.cache
+def _code_hash() -> str:
+    """Hash of the source files that a simulation runs through."""
+    package = Path(__file__).resolve().parents[1]
+    digest = hashlib.sha256()
+    for part in _SOURCES:
+        path = package / part
+        for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
+            digest.update(file.relative_to(package).as_posix().encode() + b"\0" + file.read_bytes() + b"\0")
+    return digest.hexdigest()
+
+
+def _path_of(settings: Mapping[str, Any], folder: str | Path | None = None) -> Path:
+    """File of the runs of a simulation with these settings."""
+    text = json.dumps({**settings, "code": _code_hash()}, sort_keys=True, default=list)
+    return cache_folder(folder) / f"simulated-{hashlib.sha256(text.encode()).hexdigest()[:32]}.npz"
+
+
+def _load(path: Path) -> list[RawRun] | None:
+    """Runs of a file, or None where there is none that can be read."""
+    try:
+        with np.load(path, allow_pickle=False) as content:
+            names = content["names"].tolist()
+            parts = [[content[f"{part}_{i}"] for part in "txu"] for i in range(len(names))]
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        return None
+    return [RawRun(name, t, x, u, source="simulated") for name, (t, x, u) in zip(names, parts, strict=True)]
+
+
+def _store(path: Path, runs: Sequence[RawRun]) -> None:
+    """Write runs, if the folder can be written: a cache is no necessity."""
+    content: dict[str, Any] = {"names": np.array([run.name for run in runs])}
+    for i, run in enumerate(runs):
+        content |= {f"t_{i}": run.t, f"x_{i}": run.x, f"u_{i}": run.u}
+    part = path.with_suffix(f".{os.getpid()}.part")
+    with suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            with part.open("wb") as file:
+                np.savez(file, allow_pickle=False, **content)
+            part.replace(path)
+        finally:
+            part.unlink(missing_ok=True)
 
 
 @dataclass(frozen=True)
@@ -126,8 +188,8 @@ def simulated(
     when: dict[str, Any] = {"durations": lengths, "seed": int(seed)}
     noise = {"process_noise": float(process_noise), "sensor_noise": float(sensor_noise)}
     which: dict[str, Any] = {"effects": named_effects(effects, name), **noise}
-    kept = _cache.path_of({"system": name, **when, **which, "options": options}, cache)
-    raw = _cache.load(kept) if use_cache else None
+    kept = _path_of({"system": name, **when, **which, "options": options}, cache)
+    raw = _load(kept) if use_cache else None
     if raw is None:
         try:
             raw = made.make(name, **when, making=Making(**which), **options)
@@ -136,7 +198,7 @@ def simulated(
                 raise ConfigError(f"simulated runs of {name!r}: {error}.") from error
             raise
         if use_cache:
-            _cache.store(kept, raw)
+            _store(kept, raw)
     try:
         return assemble(raw, info, kind="simulated", gap=gap, clock=clock)
     except DataError as error:

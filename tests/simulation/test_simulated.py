@@ -12,7 +12,7 @@ import nsde_torch.simulation.registry as registry
 from nsde_torch.data import DataSet
 from nsde_torch.errors import ConfigError
 from nsde_torch.simulation import cartpole_episodes, simulated, spring_runs
-from nsde_torch.simulation.pilot import TARGETS, Pilot, Sticks, attained, figures
+from nsde_torch.simulation.flights import TARGETS, Pilot, Sticks, attained, figures
 from nsde_torch.systems import Hexacopter
 
 FIGURES = (

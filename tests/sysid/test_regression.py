@@ -13,8 +13,7 @@ from scipy.optimize import lsq_linear
 from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.simulation import Making, simulated
-from nsde_torch.simulation.flights import fly
-from nsde_torch.simulation.pilot import Pilot, Sticks
+from nsde_torch.simulation.flights import Pilot, Sticks, fly
 from nsde_torch.sysid.guard import Guarded, Objection
 from nsde_torch.sysid.identify import identify, identify_in_loop
 from nsde_torch.sysid.regression import bounded_step, shown

@@ -19,12 +19,11 @@ from nsde_torch.px4.flight.controller import Runner
 from nsde_torch.px4.flight.flight_log import FlightLog
 from nsde_torch.px4.flight.offboard import Offboard
 from nsde_torch.px4.flight.safety import FLYING, REFUSED, Action, FlightOutcome, Limits, Phase, Trouble
-from nsde_torch.px4.flight.setpoint import SetpointLimits
 from nsde_torch.px4.link import dialect as d
 from nsde_torch.px4.link.connection import STREAM, Connection, urgent, why_no_state
 from nsde_torch.px4.link.telemetry import VehicleState
 from nsde_torch.px4.link.vectors import Vec, distance, plus
-from nsde_torch.px4.options import FlightOptions
+from nsde_torch.px4.options import FlightOptions, SetpointLimits
 
 LOOK = 0.05  # time between looks at the vehicle [s]
 STANDS = 1.0  # time on the ground after which PX4 is asked to disarm, and between such requests [s]

@@ -231,12 +231,15 @@ def write_csv(dataset: DataSet, folder: str | Path) -> list[Path]:
         extra = {k: v for k, v in run.extra.items() if k not in dataset.input_names}
         names = (TIME, *dataset.state_names, *dataset.input_names, *extra)
         file = folder / f"{run.name}.csv"
-        with file.open("w", encoding="utf-8", newline="") as out:
-            writer = csv.writer(out, lineterminator="\n")
-            writer.writerow(names)
-            for first in range(0, len(run), 4096):  # in pieces: text is five times the size of the numbers
-                rows = slice(first, first + 4096)
-                columns = [run.t[rows], run.x[rows], run.u[rows], *(v[rows] for v in extra.values())]
-                writer.writerows(np.column_stack(columns).tolist())
+        write_table(file, names, (run.t, run.x, run.u, *extra.values()))
         files.append(file)
     return files
+
+
+def write_table(file: Path, names: Sequence[str], columns: Sequence[Array]) -> None:
+    """Write columns (n,) and tables of them (n, k) with every digit, below a header."""
+    with file.open("w", encoding="utf-8", newline="") as out:
+        writer = csv.writer(out, lineterminator="\n")
+        writer.writerow(names)
+        for first in range(0, len(columns[0]), 4096):  # in pieces: text is five times the size of the numbers
+            writer.writerows(np.column_stack([c[first : first + 4096] for c in columns]).tolist())

@@ -72,12 +72,12 @@ def slerp(a: Array, b: Array, share: Array) -> Array:
 
 
 def euler_zyx(q: Array) -> Array:
-    """Roll, pitch, yaw [rad] (yaw about world z, then pitch, then roll), (n, 4) -> (n, 3)."""
-    w, x, y, z = q.T
+    """Roll, pitch, yaw [rad] (yaw about world z, then pitch, then roll), (..., 4) -> (..., 3)."""
+    w, x, y, z = np.moveaxis(q, -1, 0)
     roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
     pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1, 1))
     yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    return np.stack([roll, pitch, yaw], axis=1)
+    return np.stack([roll, pitch, yaw], axis=-1)
 
 
 def from_euler_zyx(angles: Array) -> Array:
@@ -118,16 +118,12 @@ def swap_body(v: Array) -> Array:
 
 def attitude_to_enu(q: Array) -> Array:
     """Quaternions `w x y z` (..., 4) from FRD-to-NED to FLU-to-ENU."""
-    world, body = np.broadcast_to(_WORLD, q.shape), np.broadcast_to(_BODY, q.shape)
-    # the product comes out with the opposite sign, which is the same attitude; w > 0 reads better for level
-    # flight
-    return -multiply(multiply(world, q), body)
+    return attitude_between(q, ned=True, frd=True)
 
 
 def attitude_between(q: Array, *, ned: bool, frd: bool) -> Array:
     """Quaternions `w x y z` (..., 4), body to world, to FLU-to-ENU from those of another world (NED) or body (FRD)."""
-    if ned and frd:
-        return attitude_to_enu(q)
-    if ned:
-        return multiply(np.broadcast_to(_WORLD, q.shape), q)
-    return multiply(q, np.broadcast_to(_BODY, q.shape)) if frd else q
+    q = multiply(np.broadcast_to(_WORLD, q.shape), q) if ned else q
+    q = multiply(q, np.broadcast_to(_BODY, q.shape)) if frd else q
+    # of both the product has the opposite sign, which is the same attitude; w > 0 reads better for level flight
+    return -q if ned and frd else q

@@ -17,7 +17,7 @@ from torch import Tensor
 from nsde_torch.data import DataSet, Run, Windows
 from nsde_torch.data.interventions import interventional, longest_stretch
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
-from nsde_torch.evaluation.metrics import HORIZONS, horizons_of, start_grid, thinned
+from nsde_torch.evaluation.metrics import HORIZONS, horizons_of, start_grid, thinned, windows_of
 from nsde_torch.evaluation.report import lookahead
 from nsde_torch.evaluation.scores import BASELINES
 from nsde_torch.evaluation.seen import SeenRuns
@@ -168,8 +168,7 @@ def common_grids(
     for c in candidates:
         steps = [max(1, round(h / c.model.spec.dt)) for h in horizons]
         own = _with_columns(runs, c, data)
-        like = c.model.clock_scale
-        windows = Windows(own, c.model.spec.dt, steps[-1], dtype=like.dtype, device=like.device)
+        windows = windows_of(c.model, own, steps[-1])
         made.append((own, windows, start_grid(windows), steps))
     rows = [windows.rows(starts) for _, windows, starts, _ in made]
     common = rows[0]

@@ -12,11 +12,11 @@ from torch import Tensor
 
 from nsde_torch import plots
 from nsde_torch.arrays import Array
-from nsde_torch.data import DataSet, Run, Windows
+from nsde_torch.data import DataSet, Run
 from nsde_torch.errors import DataError, NonFiniteError
-from nsde_torch.evaluation.metrics import horizons_of, start_grid
+from nsde_torch.evaluation.metrics import horizons_of, start_grid, thinned, windows_of
 from nsde_torch.evaluation.scores import interval_quantiles
-from nsde_torch.models.before import inputs_before, sampled
+from nsde_torch.models.before import sampled
 from nsde_torch.models.model import Model, is_stochastic
 from nsde_torch.models.neural_sde import NeuralSDE
 
@@ -69,18 +69,12 @@ class Coverage:
         self.steps = [max(1, round(h / dt)) for h in horizons_of(runs, dt)]
         if not self.steps:
             raise DataError("no run is long enough for a horizon of 0.1 s.")
-        like = model.clock_scale
-        windows = Windows(runs, dt, self.steps[-1], dtype=like.dtype, device=like.device)
-        starts = start_grid(windows)
-        if len(starts) == 0:
+        self.windows = windows_of(model, runs, self.steps[-1])
+        self.starts = thinned(start_grid(self.windows), _STARTS)
+        if len(self.starts) == 0:
             raise DataError(f"no start of the grid has {self.steps[-1] * dt:g} s without a gap after it.")
-        if len(starts) > _STARTS:
-            starts = starts[torch.linspace(0, len(starts) - 1, _STARTS).round().long()]
-        self.x, self.u, t0 = windows.batch(starts)
-        self.t0 = t0.to(like.dtype)
-        self.u_before = inputs_before(model.system, windows, starts)
-        own = [numbers[name] for name, _ in windows.locate(starts)] if numbers else None
-        self.numbers = None if own is None else like.new_tensor(own)
+        own = [numbers[name] for name, _ in self.windows.locate(self.starts)] if numbers else None
+        self.numbers = None if own is None else model.clock_scale.new_tensor(own)
 
     @torch.no_grad()
     def __call__(self, log_factor: float) -> float:
@@ -91,22 +85,21 @@ class Coverage:
         model, base = self.model, self.model.h.log_sigma_max.clone()
         model.h.log_sigma_max.copy_(base + log_factor)
         try:
-            samples = model.sample(
-                self.x[:, 0],
-                self.u,
-                dt=model.spec.dt,
+            x, samples, _ = sampled(
+                model,
+                self.windows,
+                self.starts,
                 particles=_RANKED_PARTICLES,
                 generator=torch.Generator().manual_seed(self.seed),
                 compile=self.compile,
-                t0=self.t0,
-                u_before=self.u_before,
                 numbers=self.numbers,
+                replayed=False,
             )
         except NonFiniteError:
             return 1.0
         finally:
             model.h.log_sigma_max.copy_(base)
-        errors = model.system.error(samples[:, :, self.steps], self.x[:, self.steps])
+        errors = model.system.error(samples[:, :, self.steps], x[:, self.steps])
         low, high = interval_quantiles(errors.sort(0).values, _LEVEL)
         inside = ((low <= 0) & (high >= 0)).to(errors.dtype).mean((0, 1))
         groups = [inside[list(g.channels)].mean() for g in model.system.error_groups]
@@ -207,8 +200,7 @@ def write_figures(
 @torch.no_grad()
 def _rollouts(model: Model, runs: Sequence[Run], horizon_s: float, seed: int, note: str) -> Any:
     dt = model.spec.dt
-    like = model.clock_scale
-    windows = Windows(runs, dt, max(1, round(horizon_s / dt)), dtype=like.dtype, device=like.device)
+    windows = windows_of(model, runs, max(1, round(horizon_s / dt)))
     count = min(_SHOWN, len(windows))
     inner = torch.linspace(0, len(windows) - 1, count + 2)[1:-1].round().long()
     at = inner if count > 1 else torch.tensor([0])

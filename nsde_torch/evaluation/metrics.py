@@ -35,11 +35,17 @@ def start_grid(windows: Windows) -> Tensor:
     return windows.starts(max(1, round(START_EVERY / windows.dt)) * windows.dt)
 
 
-def thinned(starts: Tensor) -> Tensor:
-    """At most 2000 of the starts, evenly spread."""
-    if len(starts) <= MOST_STARTS:
+def thinned(starts: Tensor, most: int = MOST_STARTS) -> Tensor:
+    """At most 2000 of the starts, or so many, evenly spread."""
+    if len(starts) <= most:
         return starts
-    return starts[torch.linspace(0, len(starts) - 1, MOST_STARTS).round().long()]
+    return starts[torch.linspace(0, len(starts) - 1, most).round().long()]
+
+
+def windows_of(model: Model, runs: Sequence[Run], steps: int) -> Windows:
+    """Windows of so many steps of a model, of its type and where it is."""
+    like = model.clock_scale
+    return Windows(runs, model.spec.dt, steps, dtype=like.dtype, device=like.device)
 
 
 def evaluate(
@@ -72,8 +78,7 @@ def evaluate(
     if not horizons:
         raise DataError("no run is long enough for a horizon of 0.1 s; evaluate on longer runs.")
     steps = [max(1, round(h / dt)) for h in horizons]
-    device = model.clock_scale.device
-    windows = Windows(runs, dt, steps[-1], dtype=model.clock_scale.dtype, device=device)
+    windows = windows_of(model, runs, steps[-1])
     starts = thinned(start_grid(windows))
     if len(starts) == 0:
         raise DataError(f"no stretch of {horizons[-1]} s without a gap; evaluate on longer runs.")

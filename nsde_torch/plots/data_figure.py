@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from nsde_torch.arrays import Array
+from nsde_torch.data.quaternion import euler_zyx
 from nsde_torch.plots import style
 
 if TYPE_CHECKING:
@@ -30,11 +31,8 @@ ANGLES = ("roll", "pitch", "yaw")
 
 def roll_pitch_yaw(q: Array) -> Array:
     """Angles (..., n, 3) [deg] of unit quaternions w x y z, body to world (..., n, 4), unwrapped along the times n."""
-    w, x, y, z = np.moveaxis(np.asarray(q, dtype=float), -1, 0)
-    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
-    pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0))
-    yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    angles = np.stack([np.unwrap(roll, axis=-1), pitch, np.unwrap(yaw, axis=-1)], axis=-1)
+    angles = euler_zyx(np.asarray(q, dtype=float))
+    angles[..., ::2] = np.unwrap(angles[..., ::2], axis=-2)
     degrees: Array = np.degrees(angles)
     return degrees
 

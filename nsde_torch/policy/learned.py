@@ -150,18 +150,44 @@ def make_learned(
     return _SampledDynamics(model, dt=dt, generator=generator)
 
 
+class _SampledDynamics(_Rows):
+    """A model through `sample` with one step, where it has no better way."""
+
+    def __init__(self, model: Model, *, dt: float, generator: torch.Generator) -> None:
+        self.model = model
+        self._dt, self._generator = dt, generator
+        self._x, self._nx = model.clock_scale.new_empty(0, model.system.nx), model.system.nx
+
+    def _started(self, x0: Tensor) -> Tensor:
+        return self.model.project(x0.to(self._x))
+
+    @torch.no_grad()
+    def step(self, u: Tensor) -> Tensor:
+        path = self.model.sample(
+            self._x,
+            u.to(self._x)[:, None],
+            dt=self._dt,
+            particles=1,
+            generator=self._generator,
+            measurement=False,
+            applied=True,
+        )
+        self._x = path[0, :, 1]
+        return self._x
+
+
 @final
-class _SDEDynamics(_Rows):
+class _SDEDynamics(_SampledDynamics):
     """A neural SDE, stepped by its integrator; rows go on with its memory and disturbance."""
+
+    model: NeuralSDE
 
     def __init__(
         self, model: NeuralSDE, *, dt: float, sensor_noise: float, generator: torch.Generator
     ) -> None:
-        self.model = model
-        self._dt, self._generator = dt, generator
+        super().__init__(model, dt=dt, generator=generator)
         self._std = sensor_noise * model.measurement_std
         self._noisy = bool((self._std > 0).any())
-        self._x, self._nx = model.clock_scale.new_empty(0, model.nz), model.system.nx
 
     @torch.no_grad()
     def step(self, u: Tensor) -> Tensor:
@@ -188,8 +214,10 @@ class _SDEDynamics(_Rows):
 
 
 @final
-class _EnsembleDynamics(_Rows):
+class _EnsembleDynamics(_SampledDynamics):
     """A Gaussian ensemble; every machine moves by its own member."""
+
+    model: GaussianEnsemble
 
     def __init__(
         self, model: GaussianEnsemble, *, dt: float, generator: torch.Generator, propagation: str | None
@@ -202,9 +230,8 @@ class _EnsembleDynamics(_Rows):
                 f"`environment` is an ensemble that learned steps of {model.spec.dt:g} s and knows no other; the task "
                 f"has steps of {dt:g} s. Train another with system.dt={dt:g}."
             )
-        self.model = model
-        self._generator, self._redrawn = generator, propagation == "redrawn"
-        self._x, self._nx = model.clock_scale.new_empty(0, model.system.nx), model.system.nx
+        super().__init__(model, dt=dt, generator=generator)
+        self._redrawn = propagation == "redrawn"
         self.members = torch.empty(0, dtype=torch.long, device=self._x.device)
         """The member that moved each machine last, or moves it next after a start (N,)."""
 
@@ -217,40 +244,10 @@ class _EnsembleDynamics(_Rows):
         self.members = self.members.index_copy(0, rows, drawn)
         return super().restart(rows, x0)
 
-    def _started(self, x0: Tensor) -> Tensor:
-        return self.model.project(x0.to(self._x))
-
     @torch.no_grad()
     def step(self, u: Tensor) -> Tensor:
         if self._redrawn:
             self.members = self.model.draw_members(len(self._x), self._generator)
         noise = normal((len(self._x), self.model.chart.n_change), self._generator, self._x)
         self._x = self.model.advance(self._x, u.to(self._x), self.members, noise)
-        return self._x
-
-
-@final
-class _SampledDynamics(_Rows):
-    """Any other model, through `sample` with one step."""
-
-    def __init__(self, model: Model, *, dt: float, generator: torch.Generator) -> None:
-        self.model = model
-        self._dt, self._generator = dt, generator
-        self._x, self._nx = model.clock_scale.new_empty(0, model.system.nx), model.system.nx
-
-    def _started(self, x0: Tensor) -> Tensor:
-        return self.model.project(x0.to(self._x))
-
-    @torch.no_grad()
-    def step(self, u: Tensor) -> Tensor:
-        path = self.model.sample(
-            self._x,
-            u.to(self._x)[:, None],
-            dt=self._dt,
-            particles=1,
-            generator=self._generator,
-            measurement=False,
-            applied=True,
-        )
-        self._x = path[0, :, 1]
         return self._x

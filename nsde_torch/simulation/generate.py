@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from nsde_torch.data.csv_folder import write_table
 from nsde_torch.data.raw import RawRun
 from nsde_torch.effects import Effect, Parameter, effect_class
 from nsde_torch.errors import ConfigError, NonFiniteError
@@ -55,7 +56,11 @@ class Simulation:
         folder.mkdir(parents=True, exist_ok=True)
         for old in folder.glob("*.csv"):
             old.unlink()
-        files = [_write_run(self, run, folder / f"{run.name}.csv") for run in self.runs]
+        files = [folder / f"{run.name}.csv" for run in self.runs]
+        for file, run in zip(files, self.runs, strict=True):
+            names = ("t", *self.state_names, *self.input_names, *run.extra)
+            # times to the nanosecond: sums of steps would show their last digits
+            write_table(file, names, (np.round(run.t, 9), run.x, run.u, *run.extra.values()))
         beside.parent.mkdir(parents=True, exist_ok=True)
         content = {**self.truth, "files": [file.name for file in files]}
         beside.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
@@ -348,14 +353,3 @@ def check_free(folder: Path, truth: Path, *, overwrite: bool) -> None:
         raise ConfigError(f"`out`: {folder} holds something; name another folder, or add overwrite=true.")
     if truth.exists():
         raise ConfigError(f"`truth`: {truth} exists; name another file, or add overwrite=true.")
-
-
-def _write_run(made: Simulation, run: RawRun, file: Path) -> Path:
-    names = ("t", *made.state_names, *made.input_names, *run.extra)
-    table = np.column_stack([run.t, run.x, run.u, *run.extra.values()])
-    # times to the nanosecond: sums of steps would show their last digits
-    table[:, 0] = np.round(table[:, 0], 9)
-    with file.open("w", encoding="utf-8", newline="\n") as out:
-        out.write(",".join(names) + "\n")
-        out.writelines(",".join(map(repr, row)) + "\n" for row in table.tolist())
-    return file

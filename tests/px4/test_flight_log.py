@@ -73,7 +73,7 @@ def test_landing_is_px4s_and_not_logged_though_the_estimate_sinks_at_touch_down(
 
 
 def test_the_ulog_is_read_by_pyulog_with_the_setpoints_in_frd(tmp_path: Path) -> None:
-    log = UlogFile(tmp_path / "flight.ulg")
+    log = UlogFile(tmp_path / "flight.ulg", 5.0)
     for k in range(3):
         stamp, still = 5.0 + 0.01 * k, (1.0, 0.0, 0.0, 0.0)
         state = VehicleState(stamp, stamp, stamp, (1.0, 2.0, 3.0), (0.1, 0.2, 0.3), still, (0.0, 0.5, 0.0))

@@ -8,7 +8,7 @@ not known is `nan`. Beside it the same flight as ULog, for PX4's tools.
 from __future__ import annotations
 
 import struct
-from io import BufferedWriter, TextIOWrapper
+from io import TextIOWrapper
 from math import isfinite, nan
 from pathlib import Path
 from typing import final
@@ -31,7 +31,7 @@ class FlightLog:
     def __init__(self, file: Path, motors: int) -> None:
         self.file, self._motors = file, motors
         self._out: TextIOWrapper | None = None
-        self._ulog = UlogFile(file.with_suffix(".ulg"))
+        self._ulog: UlogFile | None = None
         self._last = -1.0
         self._resets, self._from = 0, -1.0
         self._flushed = 0.0
@@ -41,10 +41,10 @@ class FlightLog:
         return self
 
     def __exit__(self, *error: object) -> None:
-        if self._out is not None:
+        if self._out is not None and self._ulog is not None:
             self._out.close()
-            self._out = None
-        self._ulog.close()
+            self._ulog.close()
+            self._out = self._ulog = None
 
     def add(self, state: VehicleState, motors: tuple[float, ...], voltage: float, sent: Sent) -> None:
         """Log a state, once, with the motors' commands and the battery's voltage [V] as they were known when it came,
@@ -56,9 +56,10 @@ class FlightLog:
             self._resets, self._from = state.resets, state.stamp + RESET
         if state.stamp < self._from:
             return
-        if self._out is None:
+        if self._out is None or self._ulog is None:
             self.file.parent.mkdir(parents=True, exist_ok=True)
             self._out = self.file.open("w", encoding="utf-8", newline="\n")
+            self._ulog = UlogFile(self.file.with_suffix(".ulg"), state.stamp)
             names = (f"u_{k + 1}" for k in range(self._motors))
             self._out.write(",".join(("t", *STATE, *names, *EXTRA)) + "\n")
         known = motors[: self._motors]
@@ -99,16 +100,23 @@ _NUMBERS = {name: k for k, name in enumerate(_TOPICS)}
 
 @final
 class UlogFile:
-    """One log; nothing is on disk before the first state."""
+    """One log that begins at a stamp [s], in a folder that is there."""
 
-    def __init__(self, file: Path) -> None:
-        self.file = file
-        self._out: BufferedWriter | None = None
+    def __init__(self, file: Path, stamp: float) -> None:
+        self._out = file.open("wb")
+        self._out.write(_MAGIC + struct.pack("<Q", round(stamp * 1e6)))
+        self.flush, self.close = self._out.flush, self._out.close
+        self._message("B", bytes(40))
+        for name, (fields, _) in _TOPICS.items():
+            self._message("F", f"{name}:{fields}".encode())
+        for key, value in (("sys_name", "PX4"), ("replay_source", "nsde fly")):
+            text = f"char[{len(value)}] {key}".encode()
+            self._message("I", bytes((len(text),)) + text + value.encode())
+        for name, number in _NUMBERS.items():
+            self._message("A", struct.pack("<BH", 0, number) + name.encode())
 
     def add(self, state: VehicleState, u: tuple[float, ...], sent: Sent, volts: float) -> None:
         """A state, motor commands (0 to 1), a setpoint and the battery's voltage, each where it is known."""
-        if self._out is None:
-            self._begin(state.stamp)
         us = round(state.stamp * 1e6)
         place = (*frames.world(state.p), *frames.attitude(state.q))
         ned = (*place, *frames.world(state.v), *frames.body(state.w))
@@ -120,31 +128,8 @@ class UlogFile:
         if isfinite(volts):
             self._data("battery_status", us, volts)
 
-    def flush(self) -> None:
-        if self._out is not None:
-            self._out.flush()
-
-    def close(self) -> None:
-        if self._out is not None:
-            self._out.close()
-            self._out = None
-
-    def _begin(self, stamp: float) -> None:
-        self.file.parent.mkdir(parents=True, exist_ok=True)
-        self._out = self.file.open("wb")
-        self._out.write(_MAGIC + struct.pack("<Q", round(stamp * 1e6)))
-        self._message("B", bytes(40))
-        for name, (fields, _) in _TOPICS.items():
-            self._message("F", f"{name}:{fields}".encode())
-        for key, value in (("sys_name", "PX4"), ("replay_source", "nsde fly")):
-            text = f"char[{len(value)}] {key}".encode()
-            self._message("I", bytes((len(text),)) + text + value.encode())
-        for name, number in _NUMBERS.items():
-            self._message("A", struct.pack("<BH", 0, number) + name.encode())
-
     def _data(self, topic: str, *values: float) -> None:
         self._message("D", struct.pack("<H", _NUMBERS[topic]) + struct.pack(_TOPICS[topic][1], *values))
 
     def _message(self, kind: str, payload: bytes) -> None:
-        assert self._out is not None
         self._out.write(struct.pack("<HB", len(payload), ord(kind)) + payload)

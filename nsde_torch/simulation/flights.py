@@ -8,7 +8,7 @@ moved by what flying added to or took from the wanted figures, and all is flown 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import pi
 from typing import Any
 
@@ -55,26 +55,14 @@ SHORTEST_S = 2.0
 DRAG = 0.15  # of the machines, along x and y of the body [1/s]
 
 
-@dataclass(frozen=True)
-class Sticks:
-    """Sizes of the pilot's inputs."""
+START = np.array([0.8, 0.4, 1.2, 1.8, 0.3, 0.1, 0.15, 1.2])
+"""Sizes of the pilot's inputs (8,) from which others are sought.
 
-    slow: float = 0.8  # acceleration of the slow wander [m/s2]
-    slow_spread: float = 0.4  # how uneven it is
-    quick: tuple[float, float] = (1.2, 1.8)  # acceleration of the quick corrections along x and y [m/s2]
-    quick_spread: tuple[float, float] = (0.3, 0.1)  # how uneven they are; negative: how tightly bounded
-    yaw: float = 0.15  # wander of the heading [rad]
-    turn: float = 1.2  # the one far turn [rad]
-
-    def as_row(self) -> Array:
-        """The sizes as one row of 8."""
-        return np.array([self.slow, self.slow_spread, *self.quick, *self.quick_spread, self.yaw, self.turn])
-
-    @classmethod
-    def from_row(cls, row: Array) -> Sticks:
-        """The inverse of `as_row`."""
-        a = [float(v) for v in row]
-        return cls(a[0], a[1], (a[2], a[3]), (a[4], a[5]), a[6], a[7])
+Acceleration of the slow wander [m/s2] and how uneven it is; of the quick corrections along x and y [m/s2], and how
+uneven these are (negative: how tightly bounded); wander of the heading, and the one far turn [rad].
+"""
+LEAST = np.array([0.05, 0.0, 0.1, 0.1, -1.0, -1.0, 0.01, 0.1])
+MOST = np.array([2.5, 1.4, 5.0, 5.0, 1.0, 1.0, 0.5, 2.0])
 
 
 @dataclass(frozen=True)
@@ -101,9 +89,10 @@ class _Mood:
     """The random part of one run: noises and phases, drawn once and kept while the sizes are found."""
 
     ramp: Array
-    slow: tuple[tuple[Array, Array, Array], ...]  # x, y: sin / w^2, envelope noise
-    quick: tuple[tuple[Array, Array, Array], ...]
-    tremor: tuple[tuple[Array, Array, Array], ...]
+    # x, y: sine, its frequency and the noise of its envelope
+    slow: list[tuple[Array, Array, Array]]
+    quick: list[tuple[Array, Array, Array]]
+    tremor: list[tuple[Array, Array, Array]]
     active: tuple[Array, ...]  # x, y: how much the quick corrections are at work
     height: Array
     yaw: Array
@@ -126,9 +115,9 @@ def _wave(rng: np.random.Generator, n: int, hertz: float, dt: float) -> tuple[Ar
 
 
 def _mood(rng: np.random.Generator, n: int, dt: float, *, turns: bool) -> _Mood:
-    slow = (_wave(rng, n, SLOW_HZ, dt), _wave(rng, n, SLOW_HZ, dt))
-    quick = (_wave(rng, n, QUICK_HZ, dt), _wave(rng, n, QUICK_HZ, dt))
-    tremor = (_wave(rng, n, TREMOR_HZ, dt), _wave(rng, n, TREMOR_HZ, dt))
+    slow, quick, tremor = (
+        [_wave(rng, n, hertz, dt) for _ in range(2)] for hertz in (SLOW_HZ, QUICK_HZ, TREMOR_HZ)
+    )
     active = tuple(0.5 + 0.5 * np.tanh(2.0 * _smooth(rng, n, 1.5, dt) + 1.0) for _ in range(2))
     height = 0.8 * np.tanh(0.5 * _smooth(rng, n, 0.8, dt))
     # headings are held for a while: soft rounding to multiples of 2/3 of the standard deviation
@@ -155,20 +144,21 @@ def _twice_integrated(a: Array, dt: float) -> Array:
     return np.asarray(np.fft.irfft(filtered, padded)[: len(a)])
 
 
-def _path(mood: _Mood, sticks: Sticks, dt: float) -> Path:
+def _path(mood: _Mood, sizes: Array, dt: float) -> Path:
+    slow, slow_spread, *by_axis, wander, turn = sizes.tolist()
     p = np.empty((len(mood.ramp), 3))
     for k in range(2):
         sine, w, noise = mood.slow[k]
-        p[:, k] = sticks.slow * _uneven(noise, sticks.slow_spread) / (w * w) * sine
-        spread = sticks.quick_spread[k]
+        p[:, k] = slow * _uneven(noise, slow_spread) / (w * w) * sine
+        size, spread = by_axis[k], by_axis[2 + k]
         quick = mood.quick[k][0] * _uneven(mood.quick[k][2], spread) + TREMOR * mood.tremor[k][0]
         if spread < 0:
             quick = np.tanh(-3.0 * spread * quick) / np.tanh(-3.0 * spread)
-        p[:, k] += _twice_integrated(sticks.quick[k] * mood.ramp * mood.active[k] * quick, dt)
+        p[:, k] += _twice_integrated(size * mood.ramp * mood.active[k] * quick, dt)
     p[:, :2] *= mood.ramp[:, None]
     p[:, 2] = LOW + mood.ramp * (HEIGHT - LOW + mood.height)
     # the wander makes room for the far turn, so that the turn alone sets the largest heading
-    yaw = mood.ramp * sticks.yaw * mood.yaw * (1.0 - np.abs(mood.turn)) + sticks.turn * mood.turn
+    yaw = mood.ramp * wander * mood.yaw * (1.0 - np.abs(mood.turn)) + turn * mood.turn
     p, yaw = gaussian_filter1d(p, 0.08 / dt, axis=0), gaussian_filter1d(yaw, 0.08 / dt)
     v = np.gradient(p, dt, axis=0)
     return Path(p, v, np.gradient(v, dt, axis=0), yaw, np.gradient(yaw, dt))
@@ -205,45 +195,33 @@ class Pilot:
         self._moods = [_mood(rng, n, dt, turns=k == turning) for k, n in enumerate(self.rows)]
         self._rng = rng
 
-    def paths(self, sticks: Sticks) -> list[Path]:
-        """What the pilot wants of each run with sticks of this size."""
-        return [_path(mood, sticks, self.dt) for mood in self._moods]
+    def paths(self, sizes: Array) -> list[Path]:
+        """What the pilot wants of each run with inputs of these sizes (8,)."""
+        return [_path(mood, sizes, self.dt) for mood in self._moods]
 
-    def rehearse(self, start: Sticks, aim: Array) -> Sticks:
-        """Sizes for which the wanted paths have the figures `aim` (8,), by fixed-point iteration.
+    def rehearse(self, sizes: Array, aim: Array) -> Array:
+        """Sizes for which the wanted paths have the figures `aim` (8,), by fixed-point iteration from these.
 
         Figures that the random part cannot reach are left as near as the bounds of the sizes allow.
         """
-        sticks = start
         for k in range(40):
-            now = figures(np.concatenate([attained(path) for path in self.paths(sticks)], axis=1))
+            now = figures(np.concatenate([attained(path) for path in self.paths(sizes)], axis=1))
             rate = 0.7 if k < 20 else 0.35
-            quantile = (aim[0::2] / now[0::2]) ** rate  # speed, roll, pitch, yaw
-            shape = rate * 0.7 * np.log((aim[1::2] / aim[0::2]) / (now[1::2] / now[0::2]))
-            sticks = replace(
-                sticks,
-                slow=float(np.clip(sticks.slow * quantile[0] ** 1.3, 0.05, 2.5)),
-                slow_spread=float(np.clip(sticks.slow_spread + shape[0], 0.0, 1.4)),
-                quick=(
-                    float(np.clip(sticks.quick[0] * quantile[2], 0.1, 5.0)),
-                    float(np.clip(sticks.quick[1] * quantile[1], 0.1, 5.0)),
-                ),
-                quick_spread=(
-                    float(np.clip(sticks.quick_spread[0] + shape[2], -1.0, 1.0)),
-                    float(np.clip(sticks.quick_spread[1] + shape[1], -1.0, 1.0)),
-                ),
-                yaw=float(np.clip(sticks.yaw * quantile[3], 0.01, 0.5)),
-                turn=float(np.clip(sticks.turn * (aim[7] / now[7]) ** rate, 0.1, 2.0)),
+            speed, roll, pitch, yaw = (aim[0::2] / now[0::2]) ** rate
+            uneven, by_roll, by_pitch, _ = (
+                rate * 0.7 * np.log((aim[1::2] / aim[0::2]) / (now[1::2] / now[0::2]))
             )
-        return sticks
+            factors = np.array([speed**1.3, 1.0, pitch, roll, 1.0, 1.0, yaw, (aim[7] / now[7]) ** rate])
+            shift = np.array([0.0, uneven, 0.0, 0.0, by_pitch, by_roll, 0.0, 0.0])
+            sizes = np.clip(sizes * factors + shift, LEAST, MOST)
+        return sizes
 
-    def variants(self, sticks: Sticks, count: int, spread: float) -> list[Sticks]:
+    def variants(self, sizes: Array, count: int, spread: float) -> list[Array]:
         """The sizes themselves and `count` - 1 others near them."""
-        row = sticks.as_row()
         scale = np.array([1.0, 0.0, 1.0, 1.0, 0.0, 0.0, 1.0, 0.6])
         shift = np.array([0.0, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0])
         draws = spread * self._rng.uniform(-1.0, 1.0, (count - 1, 8))
-        return [sticks, *(Sticks.from_row(row * np.exp(scale * d) + shift * d) for d in draws)]
+        return [sizes, *(sizes * np.exp(scale * d) + shift * d for d in draws)]
 
 
 DURATIONS = (73.0, 66.0, 64.0)  # lengths of the flights of the supplement [s]
@@ -377,11 +355,11 @@ def chosen_flights(
     lengths = DURATIONS if durations is None else tuple(durations)
     pilot = Pilot(lengths, dt=dt, seed=seed)
     generator = noise_generator(seed, 2)
-    aim, sticks = pilot.targets / np.array(RESPONSE), Sticks()
+    aim, sizes = pilot.targets / np.array(RESPONSE), START
     best: tuple[float, list[Flown]] = (float("inf"), [])
     for _ in range(rounds):
-        sticks = pilot.rehearse(sticks, aim)
-        tried = pilot.variants(sticks, variants, 0.1)
+        sizes = pilot.rehearse(sizes, aim)
+        tried = pilot.variants(sizes, variants, 0.1)
         paths = [path for variant in tried for path in pilot.paths(variant)]
         made = fly(name, paths, generator=generator, making=making, durations=lengths, keep_truth=keep_truth)
         x, count = made.x, len(pilot.rows)

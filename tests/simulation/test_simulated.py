@@ -12,7 +12,7 @@ import nsde_torch.simulation.registry as registry
 from nsde_torch.data import DataSet
 from nsde_torch.errors import ConfigError
 from nsde_torch.simulation import cartpole_episodes, simulated, spring_runs
-from nsde_torch.simulation.flights import TARGETS, Pilot, Sticks, attained, figures
+from nsde_torch.simulation.flights import START, TARGETS, Pilot, attained, figures
 from nsde_torch.systems import Hexacopter
 
 FIGURES = (
@@ -68,7 +68,7 @@ def test_a_short_flight_of_a_quadrotor_with_an_effect_stays_in_the_room_and_is_r
 
 def test_the_wanted_paths_agree_with_their_own_derivatives() -> None:
     pilot = Pilot([30.0], dt=0.01, seed=0)
-    (path,) = pilot.paths(Sticks())
+    (path,) = pilot.paths(START)
     np.testing.assert_allclose(np.cumsum(path.v, axis=0) * 0.01 + path.p[0], path.p, atol=0.02)
     np.testing.assert_allclose(np.cumsum(path.yaw_rate) * 0.01, path.yaw - path.yaw[0], atol=0.02)
 
@@ -76,7 +76,7 @@ def test_the_wanted_paths_agree_with_their_own_derivatives() -> None:
 @pytest.mark.parametrize("seed", range(2))
 def test_a_rehearsal_reaches_the_quantiles_of_any_seed(seed: int) -> None:
     pilot = Pilot([73.0, 66.0, 64.0], dt=0.01, seed=seed)
-    paths = pilot.paths(pilot.rehearse(Sticks(), pilot.targets))
+    paths = pilot.paths(pilot.rehearse(START, pilot.targets))
     found = figures(np.concatenate([attained(path) for path in paths], axis=1))
     np.testing.assert_allclose(found[::2] / pilot.targets[::2], 1.0, atol=0.03)
     np.testing.assert_allclose(found[1::2] / pilot.targets[1::2], 1.0, atol=0.2)

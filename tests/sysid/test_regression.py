@@ -13,7 +13,7 @@ from scipy.optimize import lsq_linear
 from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.simulation import Making, simulated
-from nsde_torch.simulation.flights import Pilot, Sticks, fly
+from nsde_torch.simulation.flights import START, Pilot, fly
 from nsde_torch.sysid.guard import Guarded, Objection
 from nsde_torch.sysid.identify import identify, identify_in_loop
 from nsde_torch.sysid.regression import bounded_step, shown
@@ -26,7 +26,7 @@ from nsde_torch.training.fit_sysid import summary
 @cache
 def flights(noise: float) -> tuple[Run, ...]:
     """two flights of 10 s on the hexacopter's plant, whose rotor drag and motor lag the system may declare."""
-    paths = list(Pilot([10.0, 10.0], dt=0.01, seed=3).paths(Sticks()))
+    paths = list(Pilot([10.0, 10.0], dt=0.01, seed=3).paths(START))
     making = Making(process_noise=noise, sensor_noise=noise)
     flown = fly("hexacopter", paths, generator=torch.Generator().manual_seed(1), making=making)
     t = 0.01 * np.arange(len(flown.x))

@@ -7,10 +7,9 @@ noise. An episode that has had all its steps is cut off (`truncated`); one that 
 numbers, is over (`terminated`) and pays its last reward for every step that was left.
 """
 
-from abc import ABC, abstractmethod
 from dataclasses import KW_ONLY, dataclass
 from math import pi
-from typing import final
+from typing import Protocol, final
 
 import torch
 from torch import Tensor
@@ -30,23 +29,19 @@ from nsde_torch.errors import ConfigError, ShapeError
 # no step costs more than 25, whatever a learned model makes of a state that no cart can have.
 
 
-class Dynamics(ABC):
+class Dynamics(Protocol):
     """A batch of machines. What a path carries beside its state (memory, disturbance) stays in here."""
 
     @property
-    @abstractmethod
     def state(self) -> Tensor:
         """True states (N, nx), whatever the sensors say."""
 
-    @abstractmethod
     def reset(self, x0: Tensor) -> Tensor:
         """Start N machines at rest in the states (N, nx); returns them as measured."""
 
-    @abstractmethod
     def restart(self, rows: Tensor, x0: Tensor) -> Tensor:
         """Start some of the machines (K,) anew in the states (K, nx); returns these as measured."""
 
-    @abstractmethod
     def step(self, u: Tensor) -> Tensor:
         """Advance all machines by one sample under the inputs (N, nu), which act as given; returns measured states."""
 

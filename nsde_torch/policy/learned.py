@@ -8,7 +8,7 @@ its sensors is added to what is measured.
 """
 
 from abc import abstractmethod
-from typing import Any, final
+from typing import final
 
 import torch
 from torch import Tensor
@@ -46,8 +46,9 @@ def make_truth(
         raise ConfigError(f"`truth` must be one of {', '.join(TRUTHS)}; got {name!r}.")
     if name == "published" and system != "cartpole":
         raise ConfigError(f"`truth=published` is known of cartpole alone; got {system!r}. Take truth=plant.")
-    made = PublishedCartpole if name == "published" else PlantDynamics
-    return made(system, dt=dt, sensor_noise=sensor_noise, generator=generator)
+    if name == "published":
+        return PublishedCartpole(system, dt=dt, sensor_noise=sensor_noise, generator=generator)
+    return make_plant(system, check=False, dt=dt, sensor_noise=sensor_noise, generator=generator)
 
 
 class _Rows(Dynamics):
@@ -75,28 +76,6 @@ class _Rows(Dynamics):
 
     def _measured(self, x: Tensor) -> Tensor:
         return x
-
-
-@final
-class PlantDynamics(Dynamics):
-    """A plant of the package; arguments are those of `make_plant`."""
-
-    def __init__(self, system: str, **how: Any) -> None:
-        self.plant = make_plant(system, check=False, **how)
-        self._width = self.plant.system.nu + len(self.plant.system.exogenous)
-
-    @property
-    def state(self) -> Tensor:
-        return self.plant.state
-
-    def reset(self, x0: Tensor) -> Tensor:
-        return self.plant.reset(x0, x0.new_zeros(len(x0), self._width))
-
-    def restart(self, rows: Tensor, x0: Tensor) -> Tensor:
-        return self.plant.restart(rows, x0, x0.new_zeros(len(x0), self._width))
-
-    def step(self, u: Tensor) -> Tensor:
-        return self.plant.step(u)
 
 
 @final

@@ -134,7 +134,7 @@ def record(
             f"`durations` must be one or more times of {plant.dt:g} s or longer; got {list(durations)}."
         )
     rows = [round(d / plant.dt) + 1 for d in durations]
-    x = plant.reset(torch.as_tensor(start), torch.zeros(len(start), plant.system.nu))
+    x = plant.reset(torch.as_tensor(start))
     states, commands = [x], []
     for k in range(max(rows)):
         u = control(k * plant.dt, x)

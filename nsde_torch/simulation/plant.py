@@ -243,13 +243,13 @@ class Plant:
         return self._delay * self._fine
 
     @torch.no_grad()
-    def reset(self, x0: Tensor, u0: Tensor) -> Tensor:
+    def reset(self, x0: Tensor, u0: Tensor | None = None) -> Tensor:
         """Put the machines into true states (B, nx), at rest under commands (B, nu); the measured states (B, nx).
 
-        Commands were given until now: they fill the latency and the memory of the effects. A ShapeError refuses wrong
-        columns, or unequal numbers of rows.
+        Commands, None for zeros, were given until now: they fill the latency and the memory of the effects. A
+        ShapeError refuses wrong columns, or unequal numbers of rows.
         """
-        x, u = self._rows("x0", x0, self.system.nx), self._rows("u0", u0, self._width)
+        x, u = self._at_rest(x0, u0)
         if len(x) != len(u):
             raise ShapeError(f"`x0` and `u0` must have equal numbers of rows; got {len(x)} and {len(u)}.")
         return self.resume(self.system.augment(x, self._clipped(u)), u[:, None])
@@ -276,9 +276,9 @@ class Plant:
         return self._sensor(self.state)
 
     @torch.no_grad()
-    def restart(self, rows: Tensor, x0: Tensor, u0: Tensor) -> Tensor:
+    def restart(self, rows: Tensor, x0: Tensor, u0: Tensor | None = None) -> Tensor:
         """Put some machines (K,) into states (K, nx), as `reset` does with all; the time runs on."""
-        x, u = self._rows("x0", x0, self.system.nx), self._rows("u0", u0, self._width)
+        x, u = self._at_rest(x0, u0)
         if not len(x) == len(u) == len(rows):
             raise ShapeError(
                 f"`rows`, `x0` and `u0` must have equal numbers of rows; got {len(rows)}, {len(x)} and {len(u)}."
@@ -319,6 +319,10 @@ class Plant:
                 "Gentler inputs or a smaller `step` may help."
             )
         return self._sensor(self.state)
+
+    def _at_rest(self, x0: Tensor, u0: Tensor | None) -> tuple[Tensor, Tensor]:
+        x = self._rows("x0", x0, self.system.nx)
+        return x, x.new_zeros(len(x), self._width) if u0 is None else self._rows("u0", u0, self._width)
 
     @property
     def _width(self) -> int:

@@ -10,8 +10,9 @@ from torch import Tensor
 
 from nsde_torch.errors import ConfigError
 from nsde_torch.policy import BatchEnvironment, Dynamics, make_task, make_truth
-from nsde_torch.policy.learned import PUBLISHED_VARIANCES, PlantDynamics
+from nsde_torch.policy.learned import PUBLISHED_VARIANCES
 from nsde_torch.recording import read
+from nsde_torch.simulation import make_plant
 from nsde_torch.systems import make_system
 from tests.helpers.draws import generator
 
@@ -40,7 +41,7 @@ def quiet(name: str = "plant") -> Dynamics:
     """A truth without noise of any kind."""
     given = {"dt": TASK.dt, "sensor_noise": 0.0, "generator": generator()}
     if name == "plant":
-        return PlantDynamics("cartpole", process_noise=0.0, **given)
+        return make_plant("cartpole", process_noise=0.0, check=False, **given)
     return make_truth(name, system="cartpole", **given)
 
 

@@ -11,7 +11,7 @@ is. The `test` entry of the multirotor files repeats a training flight, so that 
 import math
 import pickle
 import pickletools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -245,34 +245,28 @@ class _Unpickler(pickle.Unpickler):
         raise _RefusedError(f"the pickle refers to an object outside itself ({pid!r}), which is refused.")
 
 
-class _Unwrap:
-    """Replaces the stand-ins by the objects that they represent; refuses whatever is not plain data."""
-
-    def __init__(self) -> None:
-        self._left = MAX_ITEMS
-
-    def __call__(self, value: object, depth: int = 0) -> object:
-        self._left -= 1
-        if depth > 32 or self._left < 0:
-            raise _RefusedError(
-                f"the pickle nests containers more than 32 deep or holds more than {MAX_ITEMS} entries."
-            )
-        if isinstance(value, _Array):
-            if value.array is None:
-                raise _RefusedError("an array in the pickle has no content.")
-            return value.array
-        if isinstance(value, _Dtype):
-            return value.dtype
-        if isinstance(value, list | tuple):
-            return type(value)(self(v, depth + 1) for v in value)
-        if isinstance(value, dict):
-            return {self(k, depth + 1): self(v, depth + 1) for k, v in value.items()}
-        if not isinstance(value, _PLAIN):
-            raise _RefusedError(
-                f"the pickle holds a {type(value).__name__}, which is refused: only NumPy arrays and plain lists, "
-                "tuples, dicts, numbers and strings are admitted."
-            )
-        return value
+def _unwrapped(value: object, left: Iterator[int], depth: int = 0) -> object:
+    """A value with objects in the place of their stand-ins; refuses what is not plain data, or more than is left."""
+    if depth > 32 or next(left, None) is None:
+        raise _RefusedError(
+            f"the pickle nests containers more than 32 deep or holds more than {MAX_ITEMS} entries."
+        )
+    if isinstance(value, _Array):
+        if value.array is None:
+            raise _RefusedError("an array in the pickle has no content.")
+        return value.array
+    if isinstance(value, _Dtype):
+        return value.dtype
+    if isinstance(value, list | tuple):
+        return type(value)(_unwrapped(v, left, depth + 1) for v in value)
+    if isinstance(value, dict):
+        return {_unwrapped(k, left, depth + 1): _unwrapped(v, left, depth + 1) for k, v in value.items()}
+    if not isinstance(value, _PLAIN):
+        raise _RefusedError(
+            f"the pickle holds a {type(value).__name__}, which is refused: only NumPy arrays and plain lists, "
+            "tuples, dicts, numbers and strings are admitted."
+        )
+    return value
 
 
 def _check_memo(file: BinaryIO) -> None:
@@ -298,7 +292,7 @@ def read_pickle(path: str | Path) -> object:
         with path.open("rb") as file:
             _check_memo(file)
             file.seek(0)
-            return _Unwrap()(_Unpickler(file).load())
+            return _unwrapped(_Unpickler(file).load(), iter(range(MAX_ITEMS)))
     except _RefusedError as error:
         raise DataError(f"{path}: {error}") from error
     except RecursionError as error:

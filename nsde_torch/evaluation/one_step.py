@@ -182,10 +182,9 @@ def density(law: Disturbance, angle: Array, dt: float) -> Array:
     return np.asarray(s)
 
 
-def fit(seen: Sequence[Spectrum], *, lasting: bool, shortest: float) -> Disturbance:
+def fit(seen: Spectrum, *, lasting: bool, shortest: float) -> Disturbance:
     """Law of largest Whittle likelihood, with or without a lasting force of at least the `shortest` time [s]."""
-    power, angle, count = (np.concatenate([getattr(s, k) for s in seen]) for k in ("power", "angle", "count"))
-    h = seen[0].dt
+    power, angle, count, h = seen.power, seen.angle, seen.count, seen.dt
     size = float(np.sqrt((power * count).sum() / count.sum()))
     if not size > 0:
         return Disturbance(0.0, 0.0, shortest, 0.0)

@@ -180,9 +180,9 @@ def graph_of(
 
 def _fold(module: fx.GraphModule, example: Sequence[Tensor]) -> None:
     """One pass over a graph: constants, operations that do nothing, operations that repeat."""
-    values = _Values(module)
+    values = fx.Interpreter(module, garbage_collect_values=False)
     values.run(*example)
-    graph, known = module.graph, values.of
+    graph, known = module.graph, values.env  # the value of every node
     constant: set[fx.Node] = set()
     seen: dict[tuple[object, ...], fx.Node] = {}
     for node in list(graph.nodes):
@@ -216,7 +216,7 @@ def _fold(module: fx.GraphModule, example: Sequence[Tensor]) -> None:
             known[_replace_by_constant(module, node, value, constant)] = value
         elif node.target is _aten.copy_.default and inputs[0] is not inputs[-1]:
             # derivatives are copied into fresh zeros
-            assert known[inputs[1]].shape == value.shape  # type: ignore[attr-defined]
+            assert known[inputs[1]].shape == value.shape
             node.replace_all_uses_with(inputs[1])
             graph.erase_node(node)
         elif (
@@ -281,17 +281,3 @@ def _content(value: Tensor) -> tuple[object, ...]:
     """What constants of one value have in common."""
     value = value.detach().contiguous()
     return tuple(value.shape), value.dtype, value.view(-1).numpy().tobytes()
-
-
-class _Values(fx.Interpreter):
-    """Values of all nodes for an example."""
-
-    def __init__(self, module: fx.GraphModule) -> None:
-        super().__init__(module, garbage_collect_values=False)
-        self.of: dict[fx.Node, object] = {}
-
-    def run_node(self, n: fx.Node) -> Any:
-        """See `fx.Interpreter.run_node`."""
-        out = super().run_node(n)
-        self.of[n] = out
-        return out

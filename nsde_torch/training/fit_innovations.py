@@ -394,13 +394,13 @@ def _channel_laws(physics: Physics, found: Residuals, model: NeuralSDE) -> dict[
         if q is not None and q.start <= i < q.stop:
             continue
         seen = spectrum(left[:, [i]], found.series, found.dt)
-        law = fit([seen], lasting=i in forced, shortest=shortest)
+        law = fit(seen, lasting=i in forced, shortest=shortest)
         # a force that lasts, of a model that has no state for it, is as much diffusion over a window
         out[name] = law if i in lasting else law.without_memory(model.spec.horizon * shortest / 2.0)
     if q is not None:
         attitude = physics.attitude
         turn = rotation_between(attitude, attitude + torch.as_tensor(left[:, q])).numpy()
-        law = fit([spectrum(turn, found.series, found.dt)], lasting=False, shortest=shortest)
+        law = fit(spectrum(turn, found.series, found.dt), lasting=False, shortest=shortest)
         # a rotation is twice its quaternion
         half = Disturbance(0.5 * law.diffusion, 0.0, law.tau, 0.5 * law.sensor)
         out.update(dict.fromkeys(system.state_names[q], half))

@@ -33,8 +33,7 @@ def test_force_diffusion_and_sensor_are_told_apart() -> None:
     truth = {"std": 0.6, "tau": 0.3, "sigma": 0.1, "sensor": 0.02}
     series = Series(((0, N),))
     found = [
-        fit([spectrum(residual(s, **truth)[:, None], series, H)], lasting=True, shortest=0.1)
-        for s in range(8)
+        fit(spectrum(residual(s, **truth)[:, None], series, H), lasting=True, shortest=0.1) for s in range(8)
     ]
     for name, value in (("std", 0.6), ("diffusion", 0.1), ("sensor", 0.02)):
         values = [getattr(law, name) for law in found]
@@ -58,7 +57,7 @@ def test_a_sensor_alone_is_not_taken_for_a_diffusion() -> None:
     series = Series(tuple((k * 500, k * 500 + 500) for k in range(4)))
     for seed in range(5):
         r = residual(seed, std=1e-9, tau=1.0, sigma=1e-9, sensor=0.01)[:2000, None]
-        law = fit([spectrum(r, series, H)], lasting=False, shortest=0.1)
+        law = fit(spectrum(r, series, H), lasting=False, shortest=0.1)
         assert law.sensor == pytest.approx(0.01, rel=0.1)
         assert law.diffusion < 0.1 * 0.01 / H**0.5 * 0.3
 

@@ -92,15 +92,9 @@ class _Layout:
             self.one(inner, f"{name}[{k}]", depth + 1)
 
     def base(self, kind: str, name: str) -> None:
-        if kind in ("string", "wstring"):
+        if kind == "string":
             self.move(self.length())
-        elif kind in ("time", "duration"):
-            self.number("int32", f"{name}.sec")
-            self.number("uint32", f"{name}.nanosec")
-        else:
-            self.number(kind, name)
-
-    def number(self, kind: str, name: str) -> None:
+            return
         if kind not in _NUMBERS:
             raise UnsupportedMessageError(f"numbers of the type {kind}")
         size = np.dtype(_NUMBERS[kind]).itemsize

@@ -6,6 +6,7 @@ position.
 """
 
 import logging
+from array import array
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,6 @@ from nsde_torch.errors import DataError
 
 # it reports every file, and every event that it does not know
 logging.getLogger("orangebox").setLevel(logging.CRITICAL)
-_TOGETHER = 20_000
 _STATES = ("loopIteration", "flightModeFlags", "stateFlags", "failsafePhase")
 _MOST = 20_000_000  # frames of a log
 
@@ -25,26 +25,22 @@ _MOST = 20_000_000  # frames of a log
 def open_betaflight(path: Path, *, index: int = 1) -> StreamLog:
     """One of the logs of a file, by its number from 1."""
     parser_of = optional("orangebox", "betaflight", path).Parser.load
-    rows: list[list[float]] = []
-    parts: list[Array] = []
+    numbers = array("d")  # a list of floats would take four times the memory
     try:
         parser = parser_of(str(path), index, allow_invalid_header=True)
         names, headers = list(parser.field_names), dict(parser.headers)
         main = [k for k, name in enumerate(names) if name not in _STATES]
         for frame in parser.frames():
             values = (frame.data[k] for k in main)  # None of what no slow frame has given yet
-            rows.append([float(v) if isinstance(v, int | float) else float("nan") for v in values])
-            if len(rows) >= _TOGETHER:  # numbers of Python take four times the memory
-                parts.append(np.array(rows))
-                rows.clear()
-            if len(parts) * _TOGETHER >= _MOST:
+            numbers.extend([float(v) if isinstance(v, int | float) else float("nan") for v in values])
+            if len(numbers) >= _MOST * len(main):
                 break
     except Exception as error:  # a log that ends with the battery ends without its last event
-        if not rows and not parts:
+        if not numbers:
             raise unreadable(path, "Betaflight log", error) from error
-    if len(rows) + len(parts) < 2:
+    if len(numbers) < 2 * len(main):
         raise DataError(f"{path}: log {index} holds no frames.")
-    table = np.concatenate([*parts, np.array(rows, dtype=np.float64).reshape(len(rows), len(main))])
+    table = np.array(numbers).reshape(-1, len(main))
     fields = {names[k]: table[:, j] for j, k in enumerate(main)}
     t = fields.pop("time") * 1e-6
     units = {name: "deg/s" for name in fields if name.startswith("gyro")}

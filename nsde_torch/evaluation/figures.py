@@ -147,7 +147,7 @@ def extrapolate(fitted: float, new: Sequence[float], n_runs: int) -> float:
 @torch.no_grad()
 def widen(model: NeuralSDE, log_factor: float) -> None:
     """Multiply sigma by a factor."""
-    model.h.log_sigma_max.add_(Tensor([log_factor]).to(model.h.log_sigma_max))
+    model.h.log_sigma_max.add_(log_factor)
 
 
 _SHOWN = 3

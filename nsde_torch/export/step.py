@@ -179,6 +179,7 @@ class ExportedStep(nn.Module):
         if not isinstance(method, GaussNewton):
             raise ConfigError("only the solver gauss_newton is exported; got apg. Take mpc=default.")
         self.method, self.horizon, self.sample = method, controller.horizon, sample
+        self.prepare, self.active_set = method.prepare, method.active_set  # stages as they are
         self.predictor, self.safety = controller.predictor, controller.safety
         self.options = o = controller.options
         p, solver, system = self.predictor, controller.solver.options, self.predictor.system
@@ -261,14 +262,6 @@ class ExportedStep(nn.Module):
         solves = head[SOLVES] + 1.0 - bad.to(count)
         kept = torch.stack((known.to(count), age.to(count), count, head[COST], head[GAP], solves))
         return z0.clone(), u, z, ref.clone(), first.clone(), d, kept, trouble
-
-    def prepare(self, *arguments: Tensor) -> tuple[Tensor, ...]:
-        """See `GaussNewton.prepare`."""
-        return self.method.prepare(*arguments)
-
-    def active_set(self, *arguments: Tensor) -> tuple[Tensor, ...]:
-        """See `GaussNewton.active_set`."""
-        return self.method.active_set(*arguments)
 
     def tries(self, z0: Tensor, u: Tensor, step: Tensor) -> tuple[Tensor, ...]:
         """Inputs to roll out (S, K, nu), the same by step (K, S, nu), first states (S P, nz), and noise (K, P, nx)."""

@@ -6,7 +6,7 @@ What was measured on a real PX4 and holds here: OFFBOARD is accepted when disarm
 arming; DO_SET_MODE is answered twice, once always ACCEPTED; texts go only to a link on which a ground station is heard;
 setpoints are not sanitised (NaN thrust stops the motors, more than 1 is nearly full, no limits of rates); when the
 stream stops the last rates are held for COM_OF_LOSS_T, then it fails over, and when the stream returns it goes back
-to OFFBOARD by itself; ODOMETRY's velocity is in the local frame. What its estimator gets wrong is in `estimate`.
+to OFFBOARD by itself; ODOMETRY's velocity is in the local frame. What its estimator gets wrong is below.
 """
 
 import random

@@ -41,9 +41,10 @@ def test_what_flies_a_machine_loads_no_simulator(root: Path) -> None:
 
 def test_every_case_that_a_comment_names_exists(root: Path) -> None:
     """A rule names the test or the study whose answer gets worse without it."""
-    tests = {path.name: path.read_text() for path in (root / "tests").rglob("*.py")}
-    names = {path.name for path in (root / "benchmarks").rglob("*.py")} | set(tests)
-    cases = set(re.findall(r"def (test_\w+)", "".join(tests.values()))) | {name[:-3] for name in names}
+    tests = list((root / "tests").rglob("*.py"))
+    names = {path.name for path in (*(root / "benchmarks").rglob("*.py"), *tests)}
+    written = "".join(path.read_text() for path in tests)
+    cases = set(re.findall(r"def (test_\w+)", written)) | {name[:-3] for name in names}
     lost = []
     for path in _files(root, "nsde_torch", "cli"):
         text = path.read_text()

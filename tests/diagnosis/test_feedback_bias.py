@@ -18,7 +18,8 @@ from nsde_torch.diagnosis.feedback_bias import (
 from nsde_torch.diagnosis.joint_selection import JointSearch, fitted_at
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.inference import LogLikelihood
-from nsde_torch.sysid.feedback_test import FACTOR, Answer, FeedbackTest, leaning, tested
+from nsde_torch.sysid import feedback_test
+from nsde_torch.sysid.feedback_test import FACTOR, Answer, FeedbackTest, leaning
 from nsde_torch.systems import make_system
 from tests.helpers.diagnosed import recorded
 from tests.helpers.tyres import LAG, TRUTH, Tyre, drives
@@ -117,8 +118,8 @@ def test_noise_of_one_state_in_another_is_no_feedback() -> None:
     right, wrong = (fitted_at(problem.of(system), system, None) for system in (true, alone))
     regression = search.at(right)
     innovations = joint_innovations(right, regression)
-    assert tested(regression, data.runs, {}).predictive
-    assert not tested(regression, data.runs, innovations).predictive
+    assert feedback_test.tested(regression, data.runs, {}).predictive
+    assert not feedback_test.tested(regression, data.runs, innovations).predictive
     gained = joint_nats_by_channel(wrong, right, ["v", "rim"])
     assert gained["rim"] > 50.0
     assert sum(gained.values()) == pytest.approx(right.best.likelihood - wrong.best.likelihood, rel=0.02)

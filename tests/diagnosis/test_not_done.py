@@ -102,7 +102,7 @@ def test_what_runs_left_out_surely_refute_is_not_named(monkeypatch: pytest.Monke
     refuting(monkeypatch, low=-30.0, high=-10.0, rest=-5.0)
     found = diagnosed_without(monkeypatch)
     assert (found.added, found.verdict) == ([], "unexplained")
-    assert "coulomb_friction" not in str(found)
+    assert "coulomb_friction would explain something, and is not named: runs" in str(found)
     (aside,) = found.content()["aside"]
     assert aside["effect"] == "coulomb_friction"
     assert aside["reason"] == "runs that it was not fitted to are likelier without it, by 20 nats"

@@ -92,7 +92,7 @@ def shapes(cls: type[Effect], system: str, rng: np.random.Generator) -> Values:
         ),
         "height": lambda: between(0.1, 0.3),
         "wind": wind,
-        "gap": lambda: between(0.05, 0.4) * command,
+        "half_gap": lambda: between(0.05, 0.4) * command,
         "reach": lambda: between(0.05, 0.4) * place,
         "length": lambda: place,
         "pitch": lambda: between(0.2, 0.8) * place,

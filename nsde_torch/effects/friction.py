@@ -267,13 +267,13 @@ class InputPlay(Effect):
     excludes = (Port.BODY_MOMENT,)  # rotors have none
     formula = "u_eff = m, |u - m| <= w"
     source = BOOK
-    PARAMETERS = {"gap": Parameter(0.1, "input", low=0.0, scale=0.1, help="half the play")}
-    null = {"gap": 0.0}
-    shapes = {"gap": (0.05, 0.2, 0.5)}
-    relative = {"gap": "input"}
+    PARAMETERS = {"half_gap": Parameter(0.1, "input", low=0.0, scale=0.1, help="half the play")}
+    null = {"half_gap": 0.0}
+    shapes = {"half_gap": (0.05, 0.2, 0.5)}
+    relative = {"half_gap": "input"}
     sentence = (
         "Between the input and what it moves there is play: it remembers the way it came, and after a turn nothing "
-        "moves until the input has gone back by twice {gap}."
+        "moves until the input has gone back by twice {half_gap}."
     )
     separate = (
         "give slow triangles of the input, small and large: a delay shifts them in time, play cuts their tops"
@@ -285,7 +285,7 @@ class InputPlay(Effect):
         return self.n_inputs
 
     def _taken_up(self, u: Tensor, memory: Tensor) -> Tensor:
-        own, gap = u[:, : self.n_inputs], self.value("gap")
+        own, gap = u[:, : self.n_inputs], self.value("half_gap")
         return torch.minimum(torch.maximum(memory, own - gap), own + gap)
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
@@ -298,7 +298,7 @@ class InputPlay(Effect):
         from nsde_torch.effects.recursions import play
 
         own = u[:, : self.n_inputs]
-        return torch.from_numpy(play(own.double().numpy(), float(self.value("gap").detach()))).to(own)
+        return torch.from_numpy(play(own.double().numpy(), float(self.value("half_gap").detach()))).to(own)
 
     def memory_start(self, x: Tensor, u: Tensor) -> Tensor:
         """See `Effect.memory_start`: in the middle of the play."""

@@ -287,7 +287,7 @@ def test_memory_along_states_is_that_of_the_differential_equation(reach: float) 
 
 def test_play_is_its_own_definition() -> None:
     u = torch.tensor([0.0, 0.5, 1.0, 0.8, 0.3, -0.5, 0.0]).double()[:, None]
-    effect = InputPlay({"gap": 0.25})
+    effect = InputPlay({"half_gap": 0.25})
     acts = effect.held(u, DT)[:, 0]
     assert acts.tolist() == pytest.approx([0.0, 0.25, 0.75, 0.75, 0.55, -0.25, -0.25])
     x = u.new_zeros(len(u), 2)

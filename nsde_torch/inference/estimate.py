@@ -426,11 +426,8 @@ class Optimum:
     @cached_property
     def innovations(self) -> Array:
         """Innovations of each measured channel over their size, by step (N, m); 0 where none counts."""
-        at, chunks, out = (
-            self.at,
-            self.of.space.chunks,
-            np.zeros((len(self.of.space.steps), self.at.errors.shape[-1])),
-        )
+        at, chunks = self.at, self.of.space.chunks
+        out = np.zeros((len(self.of.space.steps), at.errors.shape[-1]))
         size = at.errors[chunks.counted].square().mean(0).sqrt().clamp_min(1e-300)
         live = chunks.counted[1:]  # that of a row is what the step before it brought
         out[chunks.row[:-1][live].numpy()] = (at.errors[1:][live] / size).numpy()

@@ -71,10 +71,8 @@ DEPTH, BEGINS = 1e-2, 0.9  # |S| down to which is restored; and at which noise i
 _NEAR, _FAR = 0.5, 1.0
 """Steps of the log by which a lateness may miss what smoothers make, and by which it must to speak against one."""
 _ROUNDED = 0.1  # share of rounding in what is left, up to which it is restored
-_OVER_DIGITS, _LEAKS = (
-    100.0,
-    1e-13,
-)  # power of an input over that of its digits, and over its largest: it moves
+_OVER_DIGITS = 100.0  # power of an input over that of its digits, from which on it moves
+_LEAKS = 1e-13  # and over its largest, which windows let through elsewhere
 _HALF = 0.22  # of a mean's width, as a share of the step at which |S| is 0.7
 _REFERENCE_S = 0.5  # standard deviation of the smooth attitude that rotations are measured from
 

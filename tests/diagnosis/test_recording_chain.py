@@ -26,11 +26,6 @@ def test_a_sensor_that_comes_late_is_found_and_not_taken_for_an_effect(system: s
     assert f"{name} is logged" in content["findings"][0]["sentence"]
 
 
-@pytest.mark.xfail(
-    reason="the lag is read as a delay of 47.8 ms, beside which a hidden mass of 0.041 is sure that is none, and the "
-    "friction of 0.15 is 0.157 (0.1527 to 0.1616)",
-    strict=True,
-)
 @pytest.mark.slow
 def test_friction_has_its_size_in_its_interval_behind_a_filter_whose_noise_came_after_it() -> None:
     chain = Recording(sensor_lag={"q_dot": 0.05})

@@ -76,7 +76,7 @@ def _inside(v: ParameterVector, j: int, value: float, halves: Array, doubt: Arra
         relative = any(s.start <= j < s.stop and np.isfinite(halves[s]).any() for s in v.per_input)
         return Estimate(v.labels[j], value, None, None, v.units[j], "reference" if relative else None)
     low, high = float(max(value - half, v.low[j])), float(min(value + half, v.high[j]))
-    if low <= v.low[j] and high >= v.high[j]:  # anything that the search allows
+    if low <= v.low[j] and high >= v.high[j]:  # all that a search allows: 0.01 (0.01 to 0.94) m/s, a width
         return Estimate(v.labels[j], value, None, None, v.units[j])
     bound = _BOUNDS.get((low <= v.low[j], high >= v.high[j]))
     widened = 0.0 if doubt is None else float(doubt[j])

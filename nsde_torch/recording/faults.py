@@ -284,7 +284,8 @@ class InputSmoothing(Fault):
 
         So the declared physics has to fit better with inputs that are restored. It says, too, whether a mean is one
         about each row or of the past, of which nulls say nothing: of a slider that lacked nothing, behind a mean of the
-        last twelve rows, the current was 47 ms late, and four effects were rejected.
+        last twelve rows, the current was 47 ms late, and four effects were rejected
+        (tests/recording/test_smoothing.py::test_physics_says_whether_a_mean_is_of_the_past).
         """
         inputs = len(log.system.input_names)
         width = smoothing.smoothing_width(log.runs, inputs) if inputs else 0.0

@@ -25,7 +25,7 @@ Assumed, not checked: logged inputs are those that were commanded; the step of t
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from math import floor, log10
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import torch
@@ -49,7 +49,8 @@ _BINS = (1, 2, 3, 5, 9, 14, 21)  # rows between which it is summed up: an answer
 _KNOWN_S, _KNOWN = 0.08, 8  # how long before a disturbance an input may have known of it
 _OWN = (*range(1, 21), 25, 30, 37, 45, 55, 70, 85, 100)
 """Rows before whose inputs are their own past. What they did longer ago is in the states, and in what the physics lacks
-of them: by ten rows, of sines and steps, a car and two springs that nothing controls were in a closed loop."""
+of them: by ten rows, of sines and steps, a car and two springs that nothing controls were in a closed loop
+(tests/sysid/test_loop.py::test_sines_and_steps_that_nothing_controls_are_an_open_loop_whatever_is_missing)."""
 _OF_A_RUN, _FEWEST_OWN = 0.25, 10  # share of a run, and rows, that the own past takes at most
 _STATES_BEFORE = (1, 2, 3, 5)  # rows whose states a controller may have made an input from
 _MOVES = 5.0
@@ -69,6 +70,8 @@ _FITS = 30  # of least moduli
 FACTOR = 3.0
 """How much more inputs may know of their own step than they are seen to know of later ones (see `identify`)."""
 NO_INPUT = "no input moves"
+Past: TypeAlias = tuple[Mask, Array]
+"""The rows that have a past (N,), and orthonormal columns of it (of these rows)."""
 _SHOWN = 3  # answers that a sentence names
 
 
@@ -289,13 +292,13 @@ def tested(regression: Regression, runs: Sequence[Run], innovations: Mapping[str
     u = np.asarray(regression.physics.steps.u[:, : system.nu])
     u = signals.spread_out(regression, signals.box_means(regression, u))
     driven = u @ np.stack([way.weights for way in ways], 1)
-    among = signals.principal(u)
+    past = own_past(signals.principal(u), series)
     errors = regression.white
     if innovations:
         values = np.stack([innovations[regression.physics.names[c]] for c in regression.rows], 1)
         errors = signals.spread_out(regression, values).T
-    answers, together = _answers_of(regression, errors, ways, driven, among, series)
-    made, shares = _made_from_states(regression, ways, driven, among, series)
+    answers, together = _answers_of(regression, errors, ways, driven, past, series)
+    made, shares = _made_from_states(regression, ways, driven, past, series)
     return FeedbackTest(
         answers=answers,
         together=together,
@@ -325,15 +328,15 @@ def _smoothed(runs: Sequence[Run], nu: int) -> str:
 # ---- statistics -------------------------------------------------------------------------------------------
 
 
-def own_innovations(values: Array, among: Array, series: Series) -> Array:
-    """What columns (N, n) hold that the past of `among` (N, m) does not predict, zero near starts."""
-    live, past = _past(among, series)
+def own_innovations(values: Array, past: Past) -> Array:
+    """What columns (N, n) hold that a past does not predict, zero near starts."""
+    live, columns = past
     out = np.zeros_like(values)
-    out[live] = signals.without(values[live], past)
+    out[live] = signals.without(values[live], columns)
     return out
 
 
-def _past(among: Array, series: Series) -> tuple[Mask, Array]:
+def own_past(among: Array, series: Series) -> Past:
     """The rows that have a past, and orthonormal columns of that of `among` (N, m) and a constant."""
     usual = float(np.median([b - a for a, b in series.edges]))
     lags = [lag for lag in _OWN if lag <= max(_FEWEST_OWN, _OF_A_RUN * usual)]
@@ -354,13 +357,13 @@ def _answers_of(
     errors: Array,
     ways: Sequence[Direction],
     driven: Array,
-    among: Array,
+    past: Past,
     series: Series,
 ) -> tuple[tuple[Answer, ...], float]:
     """Every answer, and the chance of all own ones together."""
-    new = own_innovations(driven, among, series)
+    new = own_innovations(driven, past)
     rows = max(1, min(_ANSWERS, round(_ANSWER_S / regression.dt)))
-    live = _past(among, series)[0] & signals.late(series, rows)
+    live = past[0] & signals.late(series, rows)
     nothing = np.zeros((int(live.sum()), 0))
     of_channel = []
     for i in range(len(regression.rows)):
@@ -382,16 +385,16 @@ def _answers_of(
 
 
 def _made_from_states(
-    regression: Regression, ways: Sequence[Direction], driven: Array, among: Array, series: Series
+    regression: Regression, ways: Sequence[Direction], driven: Array, past: Past, series: Series
 ) -> tuple[tuple[str, ...], list[float]]:
     """Names of directions that past states predict beyond the past of the inputs (Granger, Econometrica 37 (1969)).
 
     And the largest likely share of the innovation of each that they predict.
     """
-    live, past = _past(among, series)
-    new = signals.without(driven[live], past)
+    live, before = past
+    new = signals.without(driven[live], before)
     columns = series.lagged(_states(regression), _STATES_BEFORE)[live]
-    scores = signals.score_tests(new, columns, past)
+    scores = signals.score_tests(new, columns, before)
     known = [signals.foreknown(new[:, j], driven[live, j], _FOREKNOWN) for j in range(len(ways))]
     found = [(1.0, 0.0) if k else score for k, score in zip(known, scores, strict=True)]
     chances = signals.holm([chance for chance, _ in found])

@@ -29,7 +29,7 @@ from nsde_torch.data import Run
 from nsde_torch.errors import DataError
 from nsde_torch.inference.spread import Spread
 from nsde_torch.sysid import signals
-from nsde_torch.sysid.feedback_test import ALPHA, FeedbackTest, own_innovations
+from nsde_torch.sysid.feedback_test import ALPHA, FeedbackTest, own_innovations, own_past
 from nsde_torch.sysid.noise import extended
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
@@ -155,7 +155,7 @@ def exogenous(regression: Regression, names: Sequence[str]) -> dict[str, str]:
     """Instruments that answer what the physics does not explain, name -> in words how."""
     series = extended(regression.series)
     z = signals.spread_out(regression, _boxes(regression, names))
-    new = own_innovations(z, z, series)
+    new = own_innovations(z, own_past(z, series))
     live = signals.late(series, _BINS[-1])
     nothing = np.ones((int(live.sum()), 1)) / np.sqrt(max(int(live.sum()), 1))
     scores = []

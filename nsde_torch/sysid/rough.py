@@ -136,7 +136,8 @@ def noise_through_physics(rough: Regression, theta: Array) -> Array:
     """What the noise of measured states leaves in these means through the physics (channels,), root mean square.
 
     Of white noise with standard deviations s_j as the differences of the residuals of the best fit have it,
-    sum_j <(d f_c / d x_j)^2> s_j^2 over the rows of a mean. Of a stiff tyre the right physics leaves more than wrong.
+    sum_j <(d f_c / d x_j)^2> s_j^2 over the rows of a mean. Of a stiff tyre the right physics leaves more than wrong
+    (tests/sysid/test_guard.py::test_noise_of_states_that_a_stiff_machine_amplifies_speaks_not_against_its_fit).
     """
     physics = copy.copy(rough.physics)
     physics.estimate_sensors(physics.residual(rough.theta))

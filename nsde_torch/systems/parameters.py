@@ -174,16 +174,12 @@ class ParameterVector:
             if cls is None or own in cls.null or own not in cls.shapes:
                 continue
             kind, grid = cls.relative.get(own), np.asarray(cls.shapes[own], dtype=np.float64)
-            if (
-                (kind is not None and kind not in sizes)
-                or not grid.size
-                or (kind is None and grid.min() <= 0)
-            ):
+            if not grid.size or (grid.min() <= 0 if kind is None else kind not in sizes):
                 continue
             size = 1.0 if kind is None else sizes[kind]
             if (
                 grid.min() <= 0
-            ):  # places: beyond all of the data a stop at -113 m was a tilt and a damping of a cart
+            ):  # a place: a stop at -113 m, beyond all data, was a tilt and a damping of a cart
                 self.low[place.columns] = np.maximum(self.low[place.columns], -_OUTSIDE * size)
                 self.high[place.columns] = np.minimum(self.high[place.columns], _OUTSIDE * size)
                 continue

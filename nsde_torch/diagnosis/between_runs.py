@@ -22,8 +22,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from nsde_torch.arrays import Array, Labels
-from nsde_torch.data import Run
-from nsde_torch.diagnosis.candidates import effect_of, joined
+from nsde_torch.diagnosis.candidates import effect_of, joined, values_of
 from nsde_torch.diagnosis.ceiling import silent
 from nsde_torch.diagnosis.decision import far_above_noise, feedback_made
 from nsde_torch.diagnosis.evidence import bonferroni, sum_error
@@ -64,12 +63,13 @@ class ExplainedDifference:
     each: Array  # numbers of each run (R, k), those of the first 0 where it is the reference
     nats: float  # log likelihood that it would bring, less the price of the numbers (Schwarz)
 
-    def joined(self, numbers: Labels, names: tuple[str, ...]) -> System:
-        """Physics with it; runs have these `numbers` in the column `run` (R,), and `names` by number."""
+    def joined(self, numbers: Labels) -> System:
+        """Physics with it; runs have these `numbers` in the column `run` (R,)."""
         each, system, target = self.each[np.argsort(numbers)], self.of.system, self.of.target
         if split_name(target)[0] in BY_RUN:
             cls = system.effect_class(target)
-            ((key, _),) = cls.PARAMETERS.items()
+            assert issubclass(cls, ByRun)
+            key = cls.numbers()
             for shared in (effect_of(system, name) for name in cls.includes if name in system.effect_names):
                 each = each + shared.value(key).detach().double().numpy()
             out = joined(system, target, {key: each.T.ravel().tolist()})
@@ -88,9 +88,6 @@ class ExplainedDifference:
                 made.append(cls({"change": change[: cls.width].ravel().tolist()}))
                 change = change[cls.width :]
             out = system.with_effects(*made)
-        for one in out.effects:
-            if isinstance(one, ByRun) and not one.runs:
-                one.runs = names
         return out
 
 
@@ -157,19 +154,20 @@ def with_differences(
     if len(there) < 2:  # of the others no stretch is long enough
         return now
     middle = there[reference(first[0].each, [log.runs[r].name not in whole for r in there])]
-    numbered, names = _numbered(log, [middle, *(r for r in there if r != middle)])
+    numbered = log.numbered([middle, *(r for r in there if r != middle)])
     again = numbered.search(numbered.runs).apart(apart)
     declared = joint.declared.system.reading(RUN)
+    known = _of_runs(joint.final.system)
     problem = _likelihood(numbered, begun, declared)
     made = JointSearch(again, problem, declared, aside=joint.aside)
-    place = made.fitted(begun.system.reading(RUN), made.declared)
-    other = made.fitted(joint.final.system.reading(RUN), place) if instead else place
+    place = made.fitted(_under_numbers(begun.system, log, numbered), made.declared)
+    other = made.fitted(_under_numbers(joint.final.system, log, numbered), place) if instead else place
     ties: dict[str, tuple[str, ...]] = {}
     timed = any("time" in law for law in instead)
     for count in range(_MOST):
         log.say("what differs between runs", count, _MOST)
         better, alike = _with_one(
-            made, place, _best(again, place, columns_beside(again, place, together=odd)), names
+            made, place, _best(again, place, columns_beside(again, place, together=odd))
         )
         # of a quadrotor's flights half of the time went into differences of gains that feedback may have made. Beside a
         # law of the time they are no worse than that (cart of seed 203, a force of each run)
@@ -177,10 +175,10 @@ def with_differences(
             break
         ties |= dict.fromkeys(_of_runs(better.system) - _of_runs(place.system), alike)
         place = better
-    if not _of_runs(place.system) or _within_reach(made, place) < other.value:
+    if not _of_runs(place.system) - known or _within_reach(made, place) < other.value:
         return now
     selected = made.concluded(place)
-    if not (_of_runs(selected.final.system) and selected.final.value > other.value):
+    if not (_of_runs(selected.final.system) - known and selected.final.value > other.value):
         return now
     named = {n: replace(one, ties=(*one.ties, *ties.get(n, ()))) for n, one in selected.selected.items()}
     return Concluded(numbered, again, conclude(numbered, again, made, replace(selected, selected=named)))
@@ -225,30 +223,22 @@ def _of_runs(system: System) -> set[str]:
     return {str(effect.name) for effect in system.effects if isinstance(effect, ByRun)}
 
 
-def _numbered(log: Log, order: Sequence[int]) -> tuple[Log, tuple[str, ...]]:
-    """The log with a number of each run behind the inputs, and names of the runs by number.
-
-    The reference has 0; runs that no row is of come last.
-    """
-    order = [*order, *(r for r in range(len(log.runs)) if r not in order)]
-    known = RUN in log.system.exogenous  # of a log that was simulated of what was found
-    system = log.system.reading(RUN)
-    at = system.nu + system.exogenous.index(RUN)
-
-    def with_its(run: Run, r: int) -> Run:
-        column = np.full(len(run), float(order.index(r)))
-        u = np.column_stack((run.u[:, :at], column, run.u[:, at + known :]))
-        return replace(run, u=u, extra={**run.extra, RUN: column})
-
-    runs, recorded = (
-        tuple(with_its(run, r) for r, run in enumerate(some)) for some in (log.runs, log.recorded.runs)
-    )
-    read = replace(log, system=system, recorded=replace(log.recorded, runs=recorded), runs=runs)
-    return read, tuple(log.runs[r].name for r in order)
+def _under_numbers(system: System, before: Log, after: Log) -> System:
+    """Physics of a log whose runs have other numbers, or none; what its effects have for each run stays with it."""
+    out = system.reading(RUN)
+    for effect in (e for e in system.effects if isinstance(e, ByRun)):
+        was, now = ([int(run.extra[RUN][0]) for run in log.runs] for log in (before, after))
+        old = effect.value(effect.numbers()).detach().double().numpy().reshape(effect.width, -1)
+        new = np.zeros((effect.width, len(now)))
+        for number, other in zip(was, now, strict=True):
+            new[:, other] = old[:, number] if number < old.shape[1] else 0.0
+        values = {**values_of(effect), effect.numbers(): new.ravel().tolist()}
+        out = joined(out.without_effects(str(effect.name)), str(effect.name), values)
+    return out
 
 
 def _with_one(
-    made: JointSearch, place: FittedPhysics, tried: Sequence[ExplainedDifference], names: tuple[str, ...]
+    made: JointSearch, place: FittedPhysics, tried: Sequence[ExplainedDifference]
 ) -> tuple[FittedPhysics | None, tuple[str, ...]]:
     """The physics with the difference that explains most once it is fitted, and what explains as much; or None."""
     needed: list[tuple[float, FittedPhysics]] = []
@@ -258,7 +248,7 @@ def _with_one(
     of_run = dict(zip(space.steps.runs, first, strict=True))
     numbers = np.array([of_run[r] for r in sorted(of_run)], dtype=np.int64)
     for one in tried[:_TRIED]:
-        there = made.fitted(one.joined(numbers, names), place, place.best.likelihood)
+        there = made.fitted(one.joined(numbers), place, place.best.likelihood)
         more = len(there.best.vector) - len(place.best.vector)
         risen = there.best.likelihood - place.best.likelihood
         p = bonferroni(float(chdtrc(more, max(2.0 * risen, 0.0))), len(tried))

@@ -6,6 +6,7 @@ from math import prod
 import numpy as np
 
 from nsde_torch.effects import EFFECTS, Effect, Law, Port, effect_class, register
+from nsde_torch.effects.by_run import RUN, ByRun
 from nsde_torch.effects.expression import Expression
 from nsde_torch.effects.law import joined_name, split_name
 from nsde_torch.effects.one_input import OnOneInput, of_several_units
@@ -128,6 +129,12 @@ def on_coordinates(system: System, names: Sequence[str]) -> list[str]:
     return list(dict.fromkeys(out))
 
 
+def of_each_run(names: Sequence[str]) -> list[str]:
+    """Candidates with numbers for each run in the place of some: for where runs have numbers."""
+    laws = {cls.includes[0]: cls.name for cls in EFFECTS.values() if issubclass(cls, ByRun)}
+    return [joined_name(laws[law], at) for law, at in map(split_name, names) if law in laws]
+
+
 def starts(
     system: System, name: str, scales: Mapping[str, float], frequencies: Sequence[float]
 ) -> list[Start]:
@@ -145,6 +152,8 @@ def starts(
     if cls.both_signs and scales[joined_name("rarer sign", at)] < _RARE_SIGN:
         return []
     found = cls.starts(scales, frequencies)
+    if issubclass(cls, ByRun):
+        found = [{**start, cls.numbers(): [0.0] * (cls.width * int(scales[RUN]))} for start in found]
     for effect in system.effects:
         assert isinstance(effect, Effect)
         if effect.name not in cls.includes:

@@ -35,16 +35,17 @@ if TYPE_CHECKING:
     from nsde_torch.diagnosis.joint_selection import FittedPhysics, JointSelection
 
 
-def folds_of(decisions: Decisions, owners: Labels, firsts: Labels) -> Labels:
+def folds_of(decisions: Decisions, owners: Labels, firsts: Labels, *, of_each_run: bool = False) -> Labels:
     """Fold of each block: whole runs, or groups of them; of one run or two, stretches of each.
 
     One run alone does not say what lasts from run to run: what falls with time over two would have to be predicted.
-    `owners` are the numbers of the runs of blocks, `firsts` those of their first steps.
+    `owners` are the numbers of the runs of blocks, `firsts` those of their first steps. `of_each_run`: for what has
+    numbers for each run, which no other run knows.
     """
     d = decisions
     _, number = np.unique(owners, return_inverse=True)
     count = int(number.max()) + 1
-    if count >= d.fewest_runs:
+    if count >= d.fewest_runs and not of_each_run:
         return np.asarray(number * min(count, d.folds) // count)
     out = np.zeros(len(number), dtype=np.int64)
     for run in range(count):

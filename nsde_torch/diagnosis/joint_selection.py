@@ -42,6 +42,7 @@ from nsde_torch.diagnosis.gram_table import GramTable
 from nsde_torch.diagnosis.laws import Term, tables, terms_on
 from nsde_torch.diagnosis.search import Search, acts_everywhere, bent_shape, without_effect
 from nsde_torch.effects import Effect, Law, Port, effect_class
+from nsde_torch.effects.by_run import ByRun
 from nsde_torch.effects.law import AND
 from nsde_torch.errors import NsdeError
 from nsde_torch.inference import LogLikelihood, MaximumLikelihood, Optimum, nearly_maximised
@@ -987,13 +988,17 @@ def looked(search: Search, place: FittedPhysics, frequencies: Sequence[float] = 
             at += columns.shape[-1]
     apart = [slice(entry.columns[0], entry.columns[-1] + 1) for entry in entries]
     held = grams(space, place.at.levels, about, place.at.at, _side_by_side(tables), apart=apart)
-    table = GramTable(held, 1 + place.best.free, folds_of(search.decisions, *space.chunks.places()))
+    places = space.chunks.places()
+    table = GramTable(held, 1 + place.best.free, folds_of(search.decisions, *places))
+    within = {entry.name for entry in entries if issubclass(effect_class(entry.name), ByRun)}
+    of_runs = folds_of(search.decisions, *places, of_each_run=True) if within else None
+    parts = table if of_runs is None else GramTable(held, 1 + place.best.free, of_runs)
     best: dict[str, _Step] = {}
     for entry in entries:
         of_label = dict(zip(entry.labels, entry.columns[1:], strict=True))
         for held_at_nothing in alone(entry.name, entry.labels):
             free = (c for label, c in of_label.items() if label not in held_at_nothing)
-            step = _stepped(table, entry, (entry.columns[0], *free))
+            step = _stepped(parts if entry.name in within else table, entry, (entry.columns[0], *free))
             if step is not None and (entry.name not in best or step.rank > best[entry.name].rank):
                 best[entry.name] = step
     longest = max(b - a for a, b in space.steps.segments)

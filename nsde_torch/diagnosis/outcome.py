@@ -195,7 +195,9 @@ class Outcome:
         own = next((e for e in self.final.vector.system.effects if e.name == effect), None)
         if not isinstance(own, ByRun):
             return found
-        return [replace(e, run=own.run_of(k), against=own.reference) for k, e in enumerate(found)]
+        count = own.value(own.numbers()).numel()  # the first ones; what follows is the same in all runs
+        each = [replace(e, run=own.run_of(k), against=own.reference) for k, e in enumerate(found[:count])]
+        return each + found[count:]
 
     def estimated(self, columns: Sequence[int]) -> list[Estimate]:
         """Parameters of `final` with 90 % intervals, which feedback widens where it may hide something."""

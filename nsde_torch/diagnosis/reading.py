@@ -31,7 +31,7 @@ from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.search import Search, at_bounds, fitted_system
 from nsde_torch.diagnosis.stages import MOVING_ROWS, Begun, OptionalStages
 from nsde_torch.effects import effect_class
-from nsde_torch.effects.by_run import target_of
+from nsde_torch.effects.by_run import RUN, target_of
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
 from nsde_torch.inference import LogLikelihood
 from nsde_torch.progress import Say
@@ -77,6 +77,30 @@ class Log:
         """The log with runs cut at moments of each."""
         recorded = replace(self.recorded, runs=cut_at(self.recorded.runs, moments))
         return replace(self, recorded=recorded, runs=cut_at(self.runs, moments), moments=moments)
+
+    def numbered(self, order: Sequence[int] = ()) -> Log:
+        """The log with a number of each run behind the inputs, those of an `order` first: the first one has 0."""
+        order = [*order, *(r for r in range(len(self.runs)) if r not in order)]
+        known = RUN in self.system.exogenous
+        system = self.system.reading(RUN)
+        at = system.nu + system.exogenous.index(RUN)
+
+        def with_its(run: Run, r: int) -> Run:
+            column = np.full(len(run), float(order.index(r)))
+            u = np.column_stack((run.u[:, :at], column, run.u[:, at + known :]))
+            return replace(run, u=u, extra={**run.extra, RUN: column})
+
+        runs, recorded = (
+            tuple(with_its(run, r) for r, run in enumerate(some)) for some in (self.runs, self.recorded.runs)
+        )
+        return replace(self, system=system, recorded=replace(self.recorded, runs=recorded), runs=runs)
+
+    @property
+    def by_number(self) -> tuple[str, ...]:
+        """Names of the runs by their numbers; empty where they have none."""
+        if RUN not in self.system.exogenous:
+            return ()
+        return tuple(run.name for run in sorted(self.runs, key=lambda run: float(run.extra[RUN][0])))
 
     def search(self, runs: Sequence[Run]) -> Search:
         """A search in runs of the log."""

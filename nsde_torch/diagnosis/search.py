@@ -9,7 +9,7 @@ import numpy as np
 
 from nsde_torch.arrays import Array, Labels, Mask
 from nsde_torch.data import Run
-from nsde_torch.diagnosis.candidates import on_coordinates
+from nsde_torch.diagnosis.candidates import of_each_run, on_coordinates
 from nsde_torch.diagnosis.decisions import BUDGETS, Budgets, Decisions, Options
 from nsde_torch.effects import Effect, Law, effect_class, register
 from nsde_torch.inference.steps import Steps, steps_of
@@ -187,7 +187,8 @@ class Search:
         )
         self.candidates: Sequence[str] | None = None
         if options.candidates is not None:
-            self.candidates = on_coordinates(system, (*options.candidates, *map(register, options.also)))
+            named = on_coordinates(system, (*options.candidates, *map(register, options.also)))
+            self.candidates = [*named, *of_each_run(named)]
         decisions = options.decisions if decisions is None else decisions
         self.decisions, self.budgets = replace(decisions, alpha=options.alpha), budgets
         # what an undeclared resonance makes of held inputs may pass for motion between rows; a delay then takes it back
@@ -196,6 +197,7 @@ class Search:
         self.feedback, self.channels = not system.sensor_noise, channels
         self.inputs, self.moved, self._stages = inputs, moved, frozenset(stages)
         self.say, self.so_far = say, so_far
+        self._quick: tuple[System, Regression] | None = None
 
     def level(self, stage: str, *found: str) -> float:
         """Significance level of a stage, after the recording chain and the stages named (`recording.fault.level`)."""
@@ -236,10 +238,12 @@ class Search:
         return out
 
     def quick(self, system: System) -> Regression:
-        """The regression of a system alone, without what candidates are compared by."""
-        regression = self.regression(system)
-        regression.run(self.budgets.iterations)
-        return regression
+        """The regression of a system alone, without what candidates are compared by; the last one is kept."""
+        if self._quick is None or self._quick[0] is not system:
+            regression = self.regression(system)
+            regression.run(self.budgets.iterations)
+            self._quick = system, regression
+        return self._quick[1]
 
     def regression(
         self, system: System, before: Regression | None = None, held: Collection[str] = ()

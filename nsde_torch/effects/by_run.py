@@ -15,13 +15,14 @@ import re
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
+from math import pi
 from typing import Any, ClassVar, final
 
 import torch
 from torch import Tensor
 
-from nsde_torch.effects.base import Effect, Parameter, Port
-from nsde_torch.effects.forces import ConstantForce, PositionBias
+from nsde_torch.effects.base import Effect, Parameter, Port, elapsed
+from nsde_torch.effects.forces import ConstantForce, PeriodicForce, PositionBias
 from nsde_torch.effects.multirotor_forces import ConstantWorldForce
 
 RUN = "run"
@@ -33,21 +34,30 @@ Values = Mapping[str, float | list[float]]
 
 
 class ByRun(Effect):
-    """An effect with numbers for each run: of component j, those of all runs beside one another."""
+    """An effect with numbers for each run: of component j, those of all runs beside one another.
+
+    They are the first of its parameters; others are the same in all runs.
+    """
 
     exogenous = (RUN,)
     width: ClassVar[int] = 1  # numbers for each run
     first: ClassVar[int] = 0  # number of the first run that has some
 
     def __init__(self, values: Values | None = None, *, n_inputs: int = 1) -> None:
-        (key, spec), *_ = self.PARAMETERS.items()
+        key = self.numbers()
         given = (values or {}).get(key)
         count = len(given) if isinstance(given, (list, tuple)) else self.width
-        self.PARAMETERS = {key: replace(spec, initial=(0.0,) * max(count, 1))}  # type: ignore[misc]
+        spec = replace(self.PARAMETERS[key], initial=(0.0,) * max(count, 1))
+        self.PARAMETERS = {**self.PARAMETERS, key: spec}  # type: ignore[misc]
         self.runs: tuple[str, ...] = ()  # names of the runs by their number; empty where nobody said
         super().__init__(values, n_inputs=n_inputs)
         self.drawn: Tensor | None = None
         """Numbers of each row (N, width), of runs that nobody has seen; None: those of the run that it is of."""
+
+    @classmethod
+    def numbers(cls) -> str:
+        """Name of the parameter with numbers for each run."""
+        return next(iter(cls.PARAMETERS))
 
     @property
     def reference(self) -> str:
@@ -63,8 +73,7 @@ class ByRun(Effect):
         """The numbers of the run of each row (N, width), from `u` of `forward`; 0 of a run that it does not know."""
         if self.drawn is not None:
             return self.drawn
-        (key,) = self.PARAMETERS
-        each, run = self.value(key), self.channel(RUN, u)
+        each, run = self.value(self.numbers()), self.channel(RUN, u)
         table = each.reshape(*each.shape[:-1], self.width, -1)
         numbers = torch.arange(self.first, self.first + table.shape[-1], dtype=run.dtype, device=run.device)
         own = (run == numbers).to(each.dtype)
@@ -115,6 +124,34 @@ class RunWorldForce(ByRun, ConstantWorldForce):
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         return self.of_run(u)
+
+
+@final
+class RunPeriodicForce(ByRun, PeriodicForce):
+    """A force that oscillates with the same frequency in each run and begins each with a phase of its own.
+
+    A candidate like any other where runs have numbers: a wave of each run is seen in every part of it.
+    """
+
+    name = "run_periodic_force"
+    width = 2
+    formula = "a_r sin(2 pi f t) + b_r cos(2 pi f t) in run r"
+    source = "imbalance of a part that turns before a recording begins"
+    PARAMETERS = {
+        "waves": Parameter(0.0, "force", scale=0.1, help="sine, then cosine, in each run"),
+        "frequency": PeriodicForce._declared["frequency"],
+    }
+    amplitudes = ("waves",)
+    includes = ("periodic_force",)
+    sentence = (
+        "A force on {it} oscillates with {frequency}, whatever the machine does, with a phase of its own in each run "
+        "(sines, then cosines: {waves})."
+    )
+
+    def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        angle = (2.0 * pi * torch.remainder(self.value("frequency") * elapsed(t, x), 1.0)).to(x.dtype)
+        angle = torch.as_tensor(angle).reshape(-1, 1)
+        return (self.of_run(u) * torch.cat((torch.sin(angle), torch.cos(angle)), 1)).sum(1, keepdim=True)
 
 
 class RunDifference(ByRun):

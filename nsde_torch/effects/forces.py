@@ -88,7 +88,6 @@ class ConstantForce(Law):
         return self.value("acceleration").expand(x.shape[0], 1)
 
 
-@final
 class PeriodicForce(Law):
     """A force that oscillates with the clock of the log, as an unbalanced rotor's."""
 
@@ -100,7 +99,7 @@ class PeriodicForce(Law):
         "cosine": Parameter(0.0, "force", scale=0.1, help="part a quarter ahead of it"),
         "frequency": Parameter(1.0, "Hz", low=0.0, scale=0.1, help="oscillations per second"),
     }
-    amplitudes = ("sine", "cosine")
+    amplitudes: ClassVar[tuple[str, ...]] = ("sine", "cosine")
     shapes = {"frequency": ()}
     relative = {"frequency": "spectrum"}
     sentence = "A force on {it} swings {frequency}, whatever the machine does (sine {sine}, cosine {cosine})."

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from nsde_torch.effects import actuators, cartpole, forces, friction, multirotor_forces
 from nsde_torch.effects.base import Effect, Port
-from nsde_torch.effects.by_run import BY_RUN, difference_class, target_of
+from nsde_torch.effects.by_run import BY_RUN, RunPeriodicForce, difference_class, target_of
 from nsde_torch.effects.coordinates import STORE, Bound
 from nsde_torch.effects.expression import Expression, unplaced_expression
 from nsde_torch.effects.expression_grammar import is_law
@@ -24,6 +24,7 @@ EFFECTS: dict[str, type[Effect]] = {
         # laws of one coordinate, of any system that has coordinates
         forces.ConstantForce,
         forces.PeriodicForce,
+        RunPeriodicForce,
         friction.CoulombFriction,
         friction.AsymmetricFriction,
         friction.StribeckFriction,

@@ -29,6 +29,7 @@ from nsde_torch.arrays import Array, Labels
 from nsde_torch.columns import by_column
 from nsde_torch.data import Run
 from nsde_torch.data.denoise import denoised
+from nsde_torch.effects.by_run import RUN
 from nsde_torch.effects.law import joined_name
 from nsde_torch.errors import DataError
 from nsde_torch.systems import System
@@ -248,7 +249,8 @@ SLOW = 0.02  # share of the rows that are slower than a slow speed
 def data_sizes(system: System, steps: Steps) -> dict[str, float]:
     """95 % quantiles of absolute values of the inputs and of the states that effects see, and the step [s].
 
-    With the share of the rows in which inputs have the sign that is rarer, of all together that of the one with least.
+    With the share of the rows in which inputs have the sign that is rarer, of all together that of the one with least,
+    and the number of runs where these have numbers.
     """
 
     def size(values: Tensor, share: float = 0.95) -> float:
@@ -263,6 +265,8 @@ def data_sizes(system: System, steps: Steps) -> dict[str, float]:
         out[joined_name("rarer sign", one.name)] = float(each[one.column])
         out[joined_name("input", one.name)] = size(steps.u[:, one.column])
         out[joined_name("least input", one.name)] = size(steps.u[:, one.column], _SELDOM)
+    if RUN in system.exogenous:
+        out[RUN] = 1.0 + float(steps.u[:, system.nu + system.exogenous.index(RUN)].max())
     for at in system.bound_coordinates():
         out[joined_name("speed", at.name)] = size(steps.x0[:, at.velocity])
         out[joined_name("slow speed", at.name)] = size(steps.x0[:, at.velocity], SLOW)

@@ -202,8 +202,7 @@ def with_numbers(system: System, targets: Sequence[str], runs: int) -> System:
         steady = split_name(target)[0] in BY_RUN
         cls = system.effect_class(target) if steady else difference_on(system, target)
         assert issubclass(cls, ByRun)
-        ((key, _),) = cls.PARAMETERS.items()
-        values: dict[str, float | list[float]] = {key: [0.0] * (cls.width * (runs - cls.first))}
+        values: dict[str, float | list[float]] = {cls.numbers(): [0.0] * (cls.width * (runs - cls.first))}
         made.append(system.make_effect(target, values) if steady else cls(values))
     return system.with_effects(*made)
 
@@ -226,7 +225,7 @@ def spreads(system: System) -> list[RunSpread]:
     for effect in system.effects:
         if not isinstance(effect, ByRun):
             continue
-        ((key, _),) = effect.PARAMETERS.items()
+        key = effect.numbers()
         each = effect.value(key).detach().double().reshape(effect.width, -1).T.numpy()
         each = np.concatenate((np.zeros((effect.first, effect.width)), each))
         count = len(each)

@@ -160,6 +160,26 @@ def test_a_gust_in_one_run_has_its_time_and_its_size(tmp_path: Path) -> None:
     assert sorted(map(abs, sizes.values()))[-2] < 0.02
 
 
+def test_an_oscillation_has_a_phase_of_its_own_in_each_run(tmp_path: Path) -> None:
+    phases = [0.3, 2.9, 5.1]
+    runs = [
+        pushed_spring(r, 25.0, lambda t, v, u, q, p=p: 0.2 * np.sin(2.0 * np.pi * 1.37 * t + p))  # type: ignore[misc]
+        for r, p in enumerate(phases)
+    ]
+    content = diagnosed_file(tmp_path / "wave", *runs, few=(*FEW, "hidden_mass", "periodic_force"))
+    assert content["added"] == ["run_periodic_force"]
+    assert not any(f["lead"] for f in content["findings"])
+    found = content["parameters"]
+    assert found["run_periodic_force.frequency"]["value"] == pytest.approx(1.37, abs=1e-3)
+    waves = [found[f"run_periodic_force.waves[{k}]"] for k in range(6)]
+    late = np.pi * 1.37 * STEP  # the simulator holds a push over a step
+    expected = [0.2 * f(p - late) for f in (np.cos, np.sin) for p in phases]
+    for wave, size in zip(waves, expected, strict=True):
+        low, high = wave["interval_90"]
+        assert 1.3 * low - 0.3 * high <= size <= 1.3 * high - 0.3 * low
+        assert high - low < 0.03
+
+
 def test_what_is_no_candidate_differs_in_no_run(tmp_path: Path) -> None:
     runs = [pushed_spring(r, 15.0, lambda t, v, u, q, r=r: 0.2 * (r == 1)) for r in range(3)]  # type: ignore[misc]
     content = diagnosed_file(tmp_path / "push", *runs, few=("coulomb_friction",))

@@ -1,6 +1,6 @@
 """What differs between runs: each row gets the number of its run, and a run that is not known gets none."""
 
-from typing import Any
+from typing import Any, ClassVar
 
 import pytest
 import torch
@@ -11,6 +11,7 @@ from nsde_torch.effects.by_run import BY_RUN, MASS, RUN, ByRun, difference_name
 from nsde_torch.systems import System, make_system
 from nsde_torch.systems.in_run import difference_on
 from nsde_torch.systems.parameters import ParameterVector
+from tests.helpers.effect_contract import EffectContract
 
 RUNS = torch.tensor([[0.0], [1.0], [2.0], [-1.0], [7.0]], dtype=torch.float64)
 ALL = ("mass_spring_damper", "cartpole", "hexacopter", "quadrotor")
@@ -62,6 +63,16 @@ def test_a_parameter_that_differs_has_its_value_in_each_run() -> None:
     assert torch.allclose(system.drift(0.0, x, u)[:, 1], still)  # the machine itself stays as it is
 
 
+class TestRunPeriodicForce(EffectContract):
+    name, system, time = "run_periodic_force", "mass_spring_damper", 0.07
+    values: ClassVar[Any] = {"waves": [0.3, -0.2], "frequency": 1.7}
+
+    def rows(self, n: int, *, seed: int = 0) -> tuple[Tensor, Tensor, Tensor]:
+        x, u, memory = super().rows(n, seed=seed)
+        u[:, -1] = 0.0  # the number of the run
+        return x, u, memory
+
+
 def test_forces_and_zeros_of_each_run() -> None:
     cart = machine("cartpole")
     x, u, wide = rows(cart)
@@ -74,6 +85,13 @@ def test_forces_and_zeros_of_each_run() -> None:
     zero = cart.reading(RUN).with_effects(cart.make_effect("run_zero[pole]", {"bias": [0.1, -0.2, 0.3]}))
     moved = x - torch.tensor([0.0, 0.0, 0.3, 0.0], dtype=torch.float64)
     assert torch.allclose(zero.drift(0.0, x, wide)[2], cart.drift(0.0, moved, u)[2], atol=1e-7)
+    waves = {"waves": [0.1, -0.2, 0.3, 1.1, 1.2, 1.3], "frequency": 2.0}
+    swung = cart.reading(RUN).with_effects(cart.make_effect("run_periodic_force[cart]", waves))
+    one = cart.with_effects(
+        cart.make_effect("periodic_force[cart]", {"sine": -0.2, "cosine": 1.2, "frequency": 2.0})
+    )
+    assert torch.allclose(swung.drift(0.1, x, wide)[1], one.drift(0.1, x, u)[1])
+    assert torch.allclose(swung.drift(0.1, x, wide)[3:], cart.drift(0.1, x, u)[3:])
     rotor = machine("hexacopter")
     x, u, wide = rows(rotor)
     each = {"acceleration": [0.1, 0.2, 0.3, 1.1, 1.2, 1.3, 2.1, 2.2, 2.3]}  # east of all runs, north, up

@@ -39,7 +39,7 @@ class Kind:
 
 
 _DRY = frozenset({"coulomb_friction[cart]"})
-FRICTION = "run_difference[coulomb_friction{}/size]"
+FRICTION, WAVE = "run_difference[coulomb_friction{}/size]", "run_periodic_force"
 KINDS: dict[str, Kind] = {
     "spring: nothing": Kind(SPRING, ""),
     "spring: mass": Kind(SPRING, "run_difference[mass]", 0.08, 0.5, True),
@@ -55,6 +55,8 @@ KINDS: dict[str, Kind] = {
     "cart: force": Kind(CART, "run_force[cart]", 0.08, 0.5),
     "cart: zero": Kind(CART, "run_zero[pole]", 0.006, 0.04),
     "cart: friction": Kind(CART, FRICTION.format("[cart]"), 0.1, 0.5, False, _DRY),
+    "cart: wave": Kind(CART, f"{WAVE}[cart]", 0.08, 0.5),
+    "spring: wave": Kind(SPRING, WAVE, 0.05, 0.4),
 }
 NAMES = list(KINDS)
 
@@ -62,7 +64,9 @@ NAMES = list(KINDS)
 @dataclass(frozen=True)
 class Made:
     kind: Kind
-    each: tuple[float, ...]  # value of what differs in each run, in its unit
+    each: tuple[
+        float, ...
+    ]  # value of what differs in each run, in its unit; of waves the sines, then the cosines
     machines: tuple[Small, ...] = field(repr=False, default=())
     zeros: tuple[float, ...] = ()
     moments: tuple[float, ...] = ()
@@ -81,6 +85,13 @@ def made(name: str, seed: int) -> Made:
     kind = KINDS[name]
     rng = np.random.default_rng([seed, NAMES.index(name)])
     count = int(rng.integers(3, 7))
+    if WAVE in kind.effect:
+        size, hertz = np.exp(rng.uniform(*np.log([(kind.least, 0.4), (kind.most, 8.0)])))
+        phases, machine = rng.uniform(0.0, 2.0 * np.pi, count), MACHINES[kind.system]
+        each = np.concatenate((size * np.cos(phases), size * np.sin(phases)))
+        return Made(
+            kind, tuple(each), tuple(replace(machine, wave=(size, hertz, p)) for p in phases), (0.0,) * count
+        )
     sizes = np.exp(rng.uniform(np.log(max(kind.least, 1e-9)), np.log(max(kind.most, 1e-9)), count))
     signs = rng.choice((-1.0, 1.0), count)
     alone = np.arange(count) == rng.integers(count) if rng.random() < 1 / 3 else np.ones(count, dtype=bool)
@@ -137,7 +148,8 @@ def write(case: Made, folder: Path, seed: int, seconds: float = 12.0) -> None:
     for r, (t, y, u, zero) in enumerate(runs):
         if np.any(zero):
             y[:, 2] += zero
-        save(folder / f"run_{r}.csv", columns(case.kind.system), [t + 100 * r, y, u], "%.7f")
+        start = 0 if WAVE in case.kind.effect else 100 * r  # phases are by the clock of the log
+        save(folder / f"run_{r}.csv", columns(case.kind.system), [t + start, y, u], "%.7f")
 
 
 def answer_of(draw: Callable[[str, int], Made], keep: Path | None, name: str, seed: int) -> Json:
@@ -152,7 +164,7 @@ def answer_of(draw: Callable[[str, int], Made], keep: Path | None, name: str, se
     named = {f["name"] for f in content["findings"]}
     wanted = {case.kind.effect, *case.kind.beside} - {""}
     own_keys = [k for k in answer["parameters"] if k.startswith(f"{case.kind.effect}.")]
-    own = [p for k in own_keys if (p := answer["parameters"][k]).get("run") and p["interval_90"]]
+    own = [(k, p) for k in own_keys if (p := answer["parameters"][k]).get("run") and p["interval_90"]]
     moments = [(case.moments[int(run[4:])], *times) for run, times in content["data"]["moments"].items()]
     return {
         **{"kind": name, "seed": seed, "verdict": answer["verdict"], "seconds": answer["seconds"]},
@@ -163,13 +175,16 @@ def answer_of(draw: Callable[[str, int], Made], keep: Path | None, name: str, se
         "exact": sure == named == wanted,
         "right": case.kind.effect in sure or not wanted,
         "wrong": sorted(sure - wanted),
-        "held": sum(_holds(p, case) for p in own),
+        "held": sum(_holds(key, p, case) for key, p in own),
         "intervals": len(own),
     }
 
 
-def _holds(p: Mapping[str, Any], case: Made) -> bool:
+def _holds(key: str, p: Mapping[str, Any], case: Made) -> bool:
     """Whether an interval holds the true number of its run."""
+    low, high = p["interval_90"]
+    if WAVE in key:
+        return bool(low <= case.each[int(key.split("[")[-1][:-1])] <= high)
     of = {f"run_{r}": value for r, value in enumerate(case.each)}
     if case.moments:
         of = {f"run_{k // 2} {('before', 'from')[k % 2]}": value for k, value in enumerate(case.each)}
@@ -178,7 +193,6 @@ def _holds(p: Mapping[str, Any], case: Made) -> bool:
     assert true is not None
     if against is not None:
         true = true / against - 1.0 if "mass" in case.kind.effect else true - against
-    low, high = p["interval_90"]
     return bool(low <= true <= high)
 
 

@@ -63,6 +63,7 @@ class Small:
     noise: tuple[float, ...] = ()  # standard deviations of its sensors
     gust: float = 0.02  # white force and angular acceleration, by the root of a second [m/s1.5]
     steady: float = 0.0  # a force that never changes [m/s2]
+    wave: tuple[float, float, float] = (0.0, 0.0, 0.0)  # size [m/s2], frequency [Hz] and phase of a force
     law: Callable[[Sequence[float], float], tuple[float, float]] = lambda y, u: (0.0, 0.0)
     """A further force and angular acceleration, of states and input."""
 
@@ -105,8 +106,10 @@ def run(
         rows[k] = y + noise * rng.standard_normal(len(y))
         u = push[k] - (4.0 * rows[k, 0] + 3.0 * rows[k, 1]) / machine.values["g"] if cart else push[k]
         forces[k] = u
-        for _ in range(fine):
+        for part in range(fine):
             white = machine.gust * rng.standard_normal(2) / sqrt(h)
+            size, hertz, phase = machine.wave
+            white[0] += size * sin(2.0 * pi * hertz * (t[k] + (part + 0.5) * h) + phase)
             y = step(lambda y, m=machine, u=u, white=white: m.rate(y, u, white), y, h)
     return t, rows, forces
 

@@ -116,21 +116,6 @@ def waves_of(regression: Regression, frequency: float) -> Array:
     return waves
 
 
-def coherence(regression: Regression, channel: int, frequency: float) -> float:
-    """Size of an oscillation of one phase by the log's clock, of the sizes that it has in each stretch; 1: the same.
-
-    Of the residual of a channel, by its place among the rows of the regression.
-    """
-    left, waves = regression.residual[:, regression.rows[channel]], waves_of(regression, frequency)
-    turns, steps = 2.0 * np.pi * frequency, regression.physics.steps
-    found = []
-    for k, (a, b) in enumerate(regression.series.edges):
-        sine, cosine = np.linalg.lstsq(waves[a:b, 2 * k : 2 * k + 2], left[a:b], rcond=1e-9)[0]
-        start = float(steps.t[min(a * regression.box, len(steps) - 1)])
-        found.append((b - a) * (cosine - 1j * sine) * np.exp(1j * turns * (a * regression.dt - start)))
-    return float(abs(sum(found)) / max(sum(abs(z) for z in found), 1e-300))
-
-
 # ---- along a variable ----------------------------------------------------------------------------------
 
 COUNTS: Array = np.arange(1.5, 40.5, 0.5)  # periods over the range that are tried

@@ -59,7 +59,7 @@ from nsde_torch.diagnosis.joint_selection import (
     fitted_at,
 )
 from nsde_torch.diagnosis.outcome import Found, Outcome, undecided
-from nsde_torch.diagnosis.periodicity import HIGHEST, coherence, lines
+from nsde_torch.diagnosis.periodicity import HIGHEST, lines
 from nsde_torch.diagnosis.reading import (
     Concluded,
     Log,
@@ -325,7 +325,7 @@ def _diagnosed(
     log = read_log(system, recorded, options, decisions=decisions, budgets=budgets, say=say)
     log = at_declared(replace(log, stages=stages, so_far=course.known))
     search = log.search(log.runs)
-    log = stages.attempt("phases that differ between runs", lambda: _numbered_by_phase(log, search), log)
+    log = stages.attempt("numbers of the runs", lambda: _numbered(log, search), log)
     search = log.search(log.runs) if log.by_number else search
     course.lap("recording")
     outcome = needed("the search for effects", partial(searched, replace(log, begun=begun), search))
@@ -396,8 +396,8 @@ def _diagnosed(
     return course.diagnosis(log, outcome, left, stages.not_done, so_far)
 
 
-def _numbered_by_phase(log: Log, search: Search) -> Log:
-    """The log, its runs numbered where an oscillation has a phase of its own in each: a candidate needs the numbers.
+def _numbered(log: Log, search: Search) -> Log:
+    """The log, its runs numbered where something oscillates: a phase of each run is a candidate that needs the numbers.
 
     A force of 1.37 Hz that began each of three runs anew was a hidden mass of 1.5 %, surely
     (tests/diagnosis/test_between_runs.py).
@@ -405,10 +405,8 @@ def _numbered_by_phase(log: Log, search: Search) -> Log:
     of_runs = of_each_run(candidate_names(log.system, search.candidates))
     if not (of_runs and 1 < len(log.runs) <= MOST_RUNS):
         return log
-    declared, d = search.quick(log.system), search.decisions
-    sure = [line for line in lines(declared, decisions=d) if line.p < search.level("effects")]
-    same = (coherence(declared, line.row, line.frequency) >= d.wording.same_phase for line in sure)
-    return log if all(same) else log.numbered()
+    found = lines(search.quick(log.system), decisions=search.decisions)
+    return log.numbered() if any(line.p < search.level("effects") for line in found) else log
 
 
 def searched(log: Log, search: Search, before: Outcome | None = None) -> Outcome:

@@ -30,7 +30,7 @@ from scipy.signal import welch
 
 from nsde_torch.arrays import Array, Labels
 from nsde_torch.diagnosis.decisions import Wording
-from nsde_torch.diagnosis.periodicity import best_repeat, coherence, waves_of
+from nsde_torch.diagnosis.periodicity import best_repeat, waves_of
 from nsde_torch.diagnosis.regressors import BEFORE, BY_RUN, OTHERS, OVER_TIME, Measured
 from nsde_torch.diagnosis.residual_tests import Dependence, PhysicsResiduals
 from nsde_torch.inference.force_scores import FunctionScores
@@ -351,7 +351,14 @@ def _sinusoid_by_run(regression: Regression, channel: int, frequency: float) -> 
 
 def _of_phase(regression: Regression, channel: int, frequency: float, wording: Wording) -> str:
     """Whether an oscillation has the same phase in all stretches, by the log's clock; and what it is a harmonic of."""
-    if coherence(regression, channel, frequency) < wording.same_phase:
+    left, waves = regression.residual[:, regression.rows[channel]], waves_of(regression, frequency)
+    turns, steps = 2.0 * np.pi * frequency, regression.physics.steps
+    found = []
+    for k, (a, b) in enumerate(regression.series.edges):
+        sine, cosine = np.linalg.lstsq(waves[a:b, 2 * k : 2 * k + 2], left[a:b], rcond=1e-9)[0]
+        start = float(steps.t[min(a * regression.box, len(steps) - 1)])
+        found.append((b - a) * (cosine - 1j * sine) * np.exp(1j * turns * (a * regression.dt - start)))
+    if len(found) > 1 and abs(sum(found)) < wording.same_phase * sum(abs(z) for z in found):
         return " whose phase differs from run to run"
     known = dict(zip(regression.vector.labels, regression.theta.tolist(), strict=True))
     swings = [f for name, f in known.items() if _SWING.fullmatch(name)]

@@ -270,9 +270,19 @@ class JointSearch:
         """The declared physics fitted from these values, where that is likelier than from those of least squares.
 
         Least squares of a loop may lie far off. The declared physics of a robot on two wheels were 7,000 nats below,
-        its masses 50 times too large, and a hidden mass came before the friction that is there.
+        its masses 50 times too large, and a hidden mass came before the friction that is there. A part of a long log is
+        asked first: of 203 s of a hexacopter the same optimum took 5 s once more.
         """
+        which = self.declared.at.of.part(_ROWS)
         try:
+            if which is not None:
+                few, least = self.declared.at.of.some(which), self.search.decisions.alike_nats
+                here = fitted_at(
+                    few.of(self.declared.system), self.declared.system, self.declared.at.some(which)
+                )
+                there = fitted_at(few.of(given), given, None, here.best.likelihood + least)
+                if there.best.likelihood < here.best.likelihood + least:
+                    return self.declared
             other = self.fitted(given, None, self.declared.best.likelihood)
         except (NsdeError, *_SINGULAR):
             return self.declared

@@ -185,7 +185,7 @@ def moved_channels_of(
     z = system.project(system.augment(s.x0[some, : system.nx], u))
     still, sizes = system.drift(t, z, u), []
     for port, column in disturbances:
-        force = z.new_zeros(len(z), system.ports[port])
+        force = z.new_zeros(len(z), system.width_of(port))
         force[:, column] = 1.0
         change = (system.drift(t, z, u, {port: force}) - still)[:, : system.nx]
         turned = physics.turn(change, physics.attitude[some])[:, regression.rows]

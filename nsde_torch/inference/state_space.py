@@ -19,6 +19,7 @@ from nsde_torch.arrays import Array
 from nsde_torch.columns import join_columns, split_columns
 from nsde_torch.effects import Port
 from nsde_torch.inference.steps import Chunks, Steps, low_passed, memory_along, memory_as_measured
+from nsde_torch.inference.stiff import exponentials, is_stiff, stiff_change
 from nsde_torch.rotation import body_rates, turned
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
@@ -32,7 +33,12 @@ _SHARE = 1e-5
 
 
 def disturbances_of(system: System, t: Tensor, x: Tensor, u: Tensor) -> tuple[tuple[Port, int], ...]:
-    """Columns of the ports on which the machine is disturbed; of those that push alike in rows (N, ...), the first."""
+    """Columns of the ports on which the machine is disturbed; of those that push alike in rows (N, ...), the first.
+
+    States that none of them pushes, as a pressure or a current, are disturbed in their own rate, unless they are the
+    place of another one. Taken for exact, what disturbs the pressure of a cylinder was a viscoelasticity and a hidden
+    mass of a rod that lacks nothing (tests/diagnosis/test_own_machines.py).
+    """
     ports = system.disturbed_ports or tuple(p for p in system.ports if p not in (Port.INPUT, Port.RATE))
     rate = system.drift(t, x, u)[:, : system.nx]
     kept: list[tuple[Port, int]] = []
@@ -46,14 +52,24 @@ def disturbances_of(system: System, t: Tensor, x: Tensor, u: Tensor) -> tuple[tu
             if all(float((push @ other).abs()) < _ALIKE for other in pushes):
                 kept.append((port, j))
                 pushes.append(push)
-    return tuple(kept)
+    if system.disturbed_ports:
+        return tuple(kept)
+    moved = (
+        torch.stack(pushes).view(len(pushes), -1, system.nx).abs().amax((0, 1)) > 0
+        if pushes
+        else rate[0] != rate[0]
+    )
+    places = {system.state_names.index(place) for place, _, _ in system.position_derivatives}
+    places |= {at.position for at in system.bound_coordinates() if at.position is not None}
+    own = (j for j in range(system.nx) if not moved[j] and j not in places)
+    return (*kept, *((Port.RATE, j) for j in own))
 
 
 def forces_on(system: System, disturbances: Sequence[tuple[Port, int]], values: Tensor) -> dict[Port, Tensor]:
     """Forces on the ports of a machine, from values (N, nd) of disturbances on some of their columns."""
     out: dict[Port, Tensor] = {}
     for j, (port, column) in enumerate(disturbances):
-        unit = torch.zeros(system.ports[port], dtype=values.dtype)
+        unit = torch.zeros(system.width_of(port), dtype=values.dtype)
         unit[column] = 1.0
         push = values[:, j : j + 1] * unit
         out[port] = out[port] + push if port in out else push
@@ -128,6 +144,7 @@ class StateSpace:
         self.every, self.band = list(every), dict(band)
         self.least_sensor = torch.full((len(self.observed),), -torch.inf, dtype=torch.float64)
         self.measured = None if max(self.every) == 1 else self.logged
+        self.stiff = False  # as the last linearisation found it
 
     @property
     def logged(self) -> Tensor:
@@ -239,8 +256,11 @@ class StateSpace:
         return self._of_rows(partial(self._rate, push or {}), t, x, memory, u)
 
     def step(self, t: Tensor, x: Tensor, memory: Tensor, u: Tensor) -> Tensor:
-        """States (N, nx) an undisturbed step later; Runge and Kutta's fourth order."""
-        return self._of_rows(self._step, t, x, memory, u)
+        """States (N, nx) an undisturbed step later: Runge and Kutta's fourth order, or what `stiff` machines take."""
+        if not self.stiff:
+            return self._of_rows(self._step, t, x, memory, u)
+        late = t + 0.5 * self.logged_h
+        return self._project(x + stiff_change(lambda z: self.rate(late, z, memory, u), x, self.h))
 
     def _of_rows(self, function: Callable[..., Tensor], t: Tensor, x: Tensor, *rows: Tensor) -> Tensor:
         """A function of rows at the values in use, which may differ from stretch to stretch."""
@@ -297,9 +317,13 @@ class StateSpace:
     def linearised(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """Slopes (T, C, ne, n) of a step at states (T, C, nx) in errors and disturbances, and the states after it.
 
-        With A and B those of the rate in the middle of the step, exp(h A) and h (1 + h A / 2 + ...) B to fourth order.
+        With A and B those of the rate in the middle of the step, exp(h A) and h (1 + h A / 2 + ...) B: to fourth order,
+        or as they are of a machine that is stiff.
         """
         after = self.after(x)
+        if self._is_stiff(x, after) != self.stiff:
+            self.stiff = not self.stiff
+            after = self.after(x)
         middle = _rows(self.midway(x, after))
         t, memory, u = self._in_the_middle()
         slopes = x.new_empty(len(middle), self.ne, self.n)
@@ -310,11 +334,27 @@ class StateSpace:
             here = t[rows], memory[rows], u[rows]
             pushed = self._pushed_by(middle[rows], *here, range(self.n))  # h A, h B
             a = pushed[..., : self.ne]
-            mean = torch.baddbmm(eye, a, eye + 0.25 * a, alpha=1.0 / 3.0)
-            mean = torch.baddbmm(eye, a, mean, alpha=0.5)
+            if self.stiff:
+                mean, _ = exponentials(a)
+            else:
+                mean = torch.baddbmm(eye, a, eye + 0.25 * a, alpha=1.0 / 3.0)
+                mean = torch.baddbmm(eye, a, mean, alpha=0.5)
             slopes[rows] = mean @ pushed
         slopes[..., : self.ne] += eye
         return slopes.view(*x.shape[:2], self.ne, self.n), after
+
+    def _is_stiff(self, x: Tensor, after: Tensor) -> bool:
+        """Whether something settles in hardly more than a step, at states (T, C, nx) in some rows.
+
+        A machine that knows its attitude is never taken for one: what settles there is memory of its motors.
+        """
+        if self.vector.system.quaternion is not None:
+            return False
+        if not bool(torch.isfinite(after).all()):
+            return True
+        every = slice(None, None, max(1, len(x) * self.chunks.count // _SOME))
+        t, memory, u = (_rows(part[every]) for part in (self.chunks.t, self.memory, self.chunks.u))
+        return is_stiff(self._pushed_by(_rows(x[every]), t, memory, u, range(self.ne)))
 
     def _pushed_by(self, x: Tensor, t: Tensor, memory: Tensor, u: Tensor, which: Sequence[int]) -> Tensor:
         """What a step does (N, ne, k) per error of the state, or per force of a disturbance, numbered behind."""
@@ -385,17 +425,21 @@ class StateSpace:
             rate = _error_rate(v.system, middle, self.rate(t, middle, held, u))
             torch.sub(rate.T, base.T, out=out[i]).mul_(self.h / by)
         self._take(self.theta)
-        return self.passed(self._to_the_end(out.permute(2, 1, 0).contiguous(), slopes))
+        return self.passed(self._to_the_end(out.permute(2, 1, 0).contiguous(), slopes, middle))
 
     def pushed(self, x: Tensor, slopes: Tensor, after: Tensor | None = None) -> Tensor:
         """What unit forces on the disturbed ports do to a step (T, C, ne, nd), not yet `passed`; see `columns`."""
         t, memory, u = self._in_the_middle()
         middle = _rows(self.midway(x, after))
-        return self._to_the_end(self._pushed_by(middle, t, memory, u, range(self.ne, self.n)), slopes)
+        return self._to_the_end(self._pushed_by(middle, t, memory, u, range(self.ne, self.n)), slopes, middle)
 
-    def _to_the_end(self, moved: Tensor, slopes: Tensor) -> Tensor:
-        """What a step does (T C, ne, k), of the rate in its middle, carried to its end (T, C, ne, k)."""
-        out = torch.baddbmm(moved, _rows(slopes[..., : self.ne]), moved, beta=0.5, alpha=0.5)
+    def _to_the_end(self, moved: Tensor, slopes: Tensor, middle: Tensor) -> Tensor:
+        """What a step does (T C, ne, k), of the rate in its middle (T C, nx), carried to its end (T, C, ne, k)."""
+        if self.stiff:
+            t, memory, u = self._in_the_middle()
+            out = exponentials(self._pushed_by(middle, t, memory, u, range(self.ne)))[0] @ moved
+        else:
+            out = torch.baddbmm(moved, _rows(slopes[..., : self.ne]), moved, beta=0.5, alpha=0.5)
         return out.view(*slopes.shape[:2], *out.shape[1:])
 
     def _in_the_middle(self) -> tuple[Tensor, Tensor, Tensor]:

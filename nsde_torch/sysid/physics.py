@@ -40,6 +40,7 @@ from nsde_torch.columns import join_columns, split_columns, take_rows
 from nsde_torch.data.system_info import rate_pairs
 from nsde_torch.effects import Port
 from nsde_torch.inference.steps import Steps, data_sizes, memory_along, memory_as_measured
+from nsde_torch.inference.stiff import exponentials, is_stiff, jacobians, stiff_change
 from nsde_torch.rotation import rotate_back, rotation_between
 from nsde_torch.sysid.noise import Noise
 from nsde_torch.systems.parameters import ParameterVector
@@ -48,6 +49,7 @@ Forces = Callable[[Tensor], Mapping[Port, Tensor]]
 _LEAD = 5  # steps from which a state is foreseen: sensor noise of one step biases, that of older ones hardly
 _SMALL = 1e-7  # of a parameter's scale: slopes by forward differences err by as much
 _SLOPE_ROWS = 5000  # of the data, evenly chosen, that means of slopes in the state are taken over
+_STIFF_ROWS = 500  # that say whether it is stiff
 _FOURTH = 70.0  # C(8, 4): variance of a fourth difference of white noise
 
 
@@ -85,6 +87,7 @@ class Physics:
         """Columns of positions whose rates were inferred from them: their residuals say nothing."""
         self.sensor_std: Array = np.zeros(system.nx)
         """Standard deviation of white sensor noise (nx,), as the last `estimate_sensors` found it."""
+        self._stiff: tuple[Tensor, bool] | None = None
         self._remembered: tuple[Tensor, tuple[Tensor, ...]] | None = None
         self._foreseen: tuple[Tensor, Tensor] | None = None
         self._forces: Forces | None = None
@@ -248,6 +251,9 @@ class Physics:
         """Predicted change over each step (N, nx)."""
         self.vector.use(theta)
         system, s = self.vector.system, self.steps
+        if self._is_stiff(theta):  # what was measured after a step says nothing of the way there
+            held = (0.5 * (memory[0] + memory[1]),) if memory else ()
+            return stiff_change(self._with_memory(torch.arange(len(s)), held), s.x0, s.dt)
         z0, z1 = s.x0, s.x1
         if memory:
             z0, z1 = join_columns((z0, memory[0])), join_columns((z1, memory[1]))
@@ -260,6 +266,26 @@ class Physics:
         fm = self._rate(s.t + 0.5 * s.logged_dt, middle, 0.5)
         change = (s.dt / 6) * (f0 + 4.0 * fm + f1)[:, : system.nx]
         return self.turn(change, self.attitude)
+
+    def _is_stiff(self, theta: Tensor) -> bool:
+        """Whether something settles in hardly more than a step under the values in use; see `inference.stiff`."""
+        if self.vector.system.quaternion is not None:
+            return False
+        if self._stiff is None or not torch.equal(self._stiff[0], theta):
+            s = self.steps
+            some = torch.linspace(0, len(s) - 1, min(len(s), _STIFF_ROWS)).long()
+            x = take_rows(s.x0, some)
+            rate = self._with_memory(
+                some, (self.vector.system.augment(x, take_rows(s.u, some))[:, x.shape[1] :],)
+            )
+            self._stiff = theta.clone(), is_stiff(s.dt * jacobians(rate, x))
+        return self._stiff[1]
+
+    def _with_memory(self, at: Tensor, memory: tuple[Tensor, ...]) -> Callable[[Tensor], Tensor]:
+        """Rates of states (N, nx) in the middle of the steps `at` (N,), memory held."""
+        s, nx = self.steps, self.vector.system.nx
+        t, u = s.t[at] + 0.5 * s.logged_dt, take_rows(s.u, at)
+        return lambda x: self._drift(t, join_columns((x, *memory)), u)[:, :nx]
 
     def _rate(self, t: Tensor, z: Tensor, share: float) -> Tensor:
         """f at measured states, without what noise of `share` of the sensors' variance adds to its mean."""
@@ -307,6 +333,11 @@ class Physics:
         self.vector.use(theta)
         system, s = self.vector.system, self.steps
         t = s.t + 0.5 * s.logged_dt
+        if self._is_stiff(theta):
+            x, memory = split_columns(middle, system.nx, middle.shape[1] - system.nx)
+            rate = self._with_memory(torch.arange(len(s)), (memory,))
+            one, _ = exponentials(s.dt * jacobians(rate, x))
+            return s.dt * torch.einsum("nij,nj->ni", one, rate(x))
         return s.dt * self._averaged(self._drift(t, middle, s.u), t, middle, s.u)[:, : system.nx]
 
     def _memory_slope(self, theta: Tensor, j: int) -> Tensor:
@@ -327,19 +358,23 @@ class Physics:
         if not self._lead:
             x = self.vector.system.project(0.5 * (s.x0 + s.x1))
             return join_columns((x, 0.5 * (memory[0] + memory[1]))) if memory else x
+        stiff = self._is_stiff(theta)
         x = take_rows(s.x0, torch.maximum(rows - self._lead, self._starts))
         for back in range(self._lead, 0, -1):
             at = rows - back
             live = (at >= self._starts)[:, None]
-            x = torch.where(live, self._later(x, torch.maximum(at, self._starts), memory, 1.0), x)
-        x = self._later(x, rows, memory, 0.5)
+            x = torch.where(live, self._later(x, torch.maximum(at, self._starts), memory, 1.0, stiff), x)
+        x = self._later(x, rows, memory, 0.5, stiff)
         return join_columns((x, 0.5 * (memory[0] + memory[1]))) if memory else x
 
-    def _later(self, x: Tensor, at: Tensor, memory: tuple[Tensor, ...], share: float) -> Tensor:
+    def _later(self, x: Tensor, at: Tensor, memory: tuple[Tensor, ...], share: float, stiff: bool) -> Tensor:
         """States (N, nx) a share of a step later, by the midpoint rule, with inputs and memory of the steps `at`."""
         system, s = self.vector.system, self.steps
         t, u, h = s.t[at], take_rows(s.u, at), share * s.dt
-        z = join_columns((x, *(take_rows(part, at) for part in memory[:1])))
+        held = tuple(take_rows(part, at) for part in memory[:1])
+        if stiff:
+            return system.project(x + stiff_change(self._with_memory(at, held), x, h))
+        z = join_columns((x, *held))
         middle = system.project(z + (0.5 * h) * self._drift(t, z, u))
         rate = self._drift(t + 0.5 * share * s.logged_dt, middle, u)
         return system.project(x + h * rate[:, : system.nx])

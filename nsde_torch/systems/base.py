@@ -305,6 +305,11 @@ class System(Parametrised, ABC):
         """The nearest valid state (N, nz); the identity by default."""
         return z
 
+    def width_of(self, port: Port) -> int:
+        """Columns of what acts on a port: one of its own, or one that every machine has; 0 where it has none."""
+        of_states = dict.fromkeys((Port.RATE, Port.INERTIA, Port.POSITION), self.nx)
+        return {**self.ports, Port.INPUT: self.nu, **of_states}.get(port, 0)
+
     def start_values(
         self, x: NDArray[np.float64], u: NDArray[np.float64], dt: float
     ) -> dict[str, list[float]]:

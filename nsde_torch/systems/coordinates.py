@@ -255,10 +255,7 @@ def check_effect(system: System, effect: Effect) -> None:
             f"effect {effect.name!r} was made for columns that are no coordinate of system {system.name!r}. Name it "
             f"in text, and it is made for the system: effects=[{effect.name!r}]."
         )
-    every = dict.fromkeys((Port.RATE, Port.INERTIA, Port.POSITION), system.nx)
-    widths = {**system.ports, Port.INPUT: system.nu, **every}
-    width = widths.get(effect.port)
-    if width is None:
+    if not (width := system.width_of(effect.port)):
         return  # `Effect.fits` says so where it is made by name
     like = next(effect.parameters(), torch.zeros(()))
     x = like.new_ones(2, system.nx)

@@ -1,9 +1,8 @@
-"""A fit of declared physics held against two simple ones and against nothing.
+"""A fit of declared physics held against two simple ones.
 
     the fit              by whatever method, theta
     least squares        on means over 0.15 s, both sides of the equation through one filter (`rough`)
     the first values     theta_0
-    nothing              what was measured
 
 all judged by what they leave of the rates in these means, without the mean over each run and beyond what the noise of
 measured states makes of it through the physics (`noise_through_physics`). What decides which of them is
@@ -37,10 +36,10 @@ CHANCE = 1e-3  # chance of calling two fits of a sound log different
 MORE = 0.1
 """Share of a channel's variance that least squares must explain beyond the fit, beside that: what the physics lacks
 biases both, and not alike."""
+SOME = 0.95  # times what was measured that least squares leave where they explain something
 TIMES = 2.0
 """Or times what least squares leave that the fit leaves: how much of the rest they explain, where the rest is small."""
 LESS = 0.9  # times what the fit predicts of a channel below which least squares find less of it
-WORSE = 1.05  # times what was measured that a fit must leave to be worse than nothing
 BEHIND = 0.3
 """By how much the sum over channels of log(left) must be smaller at the first values than at the fit, of channels of
 which least squares find no less."""
@@ -219,12 +218,9 @@ def _disagreement(channels: Sequence[Compared], chance: float) -> Objection | No
     """Where the fit and the simple ones part, the surest one."""
     lost = [c for c in channels if _apart(c) and not c.less]
     # where least squares find less, and explain something, inputs cancel what the physics lacks
-    cancelled = [c for c in channels if c.less and c.least_squares < c.measured / WORSE]
-    worse = [c for c in channels if c.fit > WORSE * c.measured and c not in cancelled]
+    cancelled = [c for c in channels if c.less and c.least_squares < SOME * c.measured]
     if lost and chance < CHANCE:
         return objection("least_squares", lost=lost)
-    if worse:
-        return objection("worse", worse=worse, of=tuple(c.name for c in worse))
     # smaller gains leave less too where inputs cancel what the physics lacks
     behind = sum(log(max(c.fit, 1e-12) / max(c.first_values, 1e-12)) for c in channels if not c.less)
     matters = any(c.fit**2 - c.first_values**2 > MATTERS * c.measured**2 for c in channels)

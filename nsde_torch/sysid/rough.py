@@ -61,8 +61,7 @@ class Objection:
     """What speaks against a fit, or for a fault of the log that it is of."""
 
     kind: str
-    """`reading`, `shifted_stream`, `odd_run`, `unexplained_run`, `least_squares`, `first_values`, `gone`, `worse` or
-    `poor`."""
+    """`reading`, `shifted_stream`, `odd_run`, `unexplained_run`, `least_squares`, `first_values`, `gone` or `poor`."""
     sentence: str
     remedy: str
     channels: tuple[str, ...] = ()  # those that it speaks of; empty: all

@@ -58,6 +58,7 @@ _LATER = {  # than the committed seeds, whose draws stay what they were; of ever
         "actuator_resonance",
     ),
     *("tracked_point", "supply_sag", "slung_load", "link_weight", "hidden_mass", "stop_above", "stop_below"),
+    "run_periodic_force",
 }
 TIES = (
     {"input_delay", "actuator_lag", "motor_lag"},

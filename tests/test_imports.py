@@ -27,7 +27,7 @@ MAY_IMPORT = {
     "recording": {*MACHINES, "data"},
     "sde": {*MACHINES, "data"},
     "models": {*MACHINES, "data", "recording", "sde", "plots"},
-    "inference": {*MACHINES, "data"},
+    "inference": {*MACHINES, "data", "sde"},
     "sysid": {*LEARNED, "inference"},
     "evaluation": {*LEARNED, "inference", "sysid"},
     "training": {*LEARNED, "inference", "sysid", "evaluation"},

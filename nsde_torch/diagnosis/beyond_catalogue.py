@@ -38,15 +38,22 @@ from nsde_torch.diagnosis.candidates import (
     variable_of,
 )
 from nsde_torch.diagnosis.ceiling import functions_beside
-from nsde_torch.diagnosis.evidence import folds_of
+from nsde_torch.diagnosis.evidence import folds_of, sum_error
 from nsde_torch.diagnosis.gram_table import GramTable
-from nsde_torch.diagnosis.joint_selection import FittedPhysics, JointSearch, JointSelection, coordinate_of
+from nsde_torch.diagnosis.joint_selection import (
+    FittedPhysics,
+    JointSearch,
+    JointSelection,
+    coordinate_of,
+    sure_nats,
+)
 from nsde_torch.diagnosis.laws import Term, law_on, tables, terms_on, with_places
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.periodicity import COUNTS, PARTS, best_repeat
 from nsde_torch.diagnosis.regressors import machine_variables
 from nsde_torch.effects import Effect, Law, Parameter, Port, effect_class
 from nsde_torch.effects.by_run import RUN
+from nsde_torch.effects.expression import Expression
 from nsde_torch.effects.expression_grammar import is_law
 from nsde_torch.effects.law import AND
 from nsde_torch.errors import ConfigError
@@ -302,20 +309,38 @@ class LawSearch:
         # cogging of order 30 of an arm's shoulder and teeth along a rail had a period and no name, a spring that tires
         # none either
         library += tuple(t for t in self.unseen(place) if t.law not in place.system.effect_names)
-        best: FittedPhysics | None = None
         fitted: list[Term] = []
-        chosen: Term | None = None
+        needed: list[tuple[str, FittedPhysics]] = []
         for term, sizes in self._promising(place, library, levels):
             there = search.fitted(joined(place.system, term.law, {**term.start, **sizes}), place)
             fitted.append(term)
             search.chosen(term.law, fitted, library)
-            if search.needed(term.law, there, place) and (best is None or there.value > best.value):
-                best, chosen = there, term
-        if best is None or chosen is None:
+            if search.needed(term.law, there, place):
+                needed.append((term.law, there))
+        if not needed:
             return None
-        search.chosen(chosen.law, fitted, library)
+        law, best = self._simplest(needed)
+        search.chosen(law, fitted, library)
         least = search.search.decisions.law_share * (sum(nats.values()) if left is None else left)
         return best if best.best.likelihood - place.best.likelihood > least else None
+
+    def _simplest(self, laws: Sequence[tuple[str, FittedPhysics]]) -> tuple[str, FittedPhysics]:
+        """The likeliest of some laws, or of those that are not surely less likely one of the fewest variables.
+
+        Of an aeroplane that does not loop, `cos(th) V al^2` stood for `V al^2`.
+        """
+        _, best = max(laws, key=lambda one: one[1].value)
+
+        def alike(there: FittedPhysics) -> bool:
+            sure = sure_nats(self._search.search, sum_error(best.at.blocks - there.at.blocks))
+            return best.value - there.value < sure
+
+        def variables(law: str, there: FittedPhysics) -> int:
+            effect = effect_of(there.system, law)
+            return len(effect.sources) + len(effect.exogenous) if isinstance(effect, Expression) else 1
+
+        some = [(law, there) for law, there in laws if there is best or alike(there)]
+        return min(some, key=lambda one: (variables(*one), -one[1].value))
 
     def _promising(
         self, place: FittedPhysics, library: Sequence[Term], levels: Levels | None

@@ -231,9 +231,7 @@ def not_shown(
             size = least if isfinite(error) and least < never else None
             if size is None and cls.local:
                 continue
-            by_declared = (
-                size is None and decisions.detectable_errors * alone <= decisions.detectable_share * usual
-            )
+            by_declared = size is None and decisions.detectable_errors * alone < never
             unit = cls.PARAMETERS[key].unit
             out.append(NotShown(name, label, size, usual, unit, cls.separate, by_declared))
     return sorted(out, key=lambda n: -(n.smallest / n.usual if n.smallest is not None else inf))

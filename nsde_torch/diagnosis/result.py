@@ -173,7 +173,9 @@ class Diagnosis:
     @property
     def in_short(self) -> str:
         """Names of everything that was found, effects with the evidence for them: `motor_lag (+812 nats)`."""
-        brought = {f.name: f" ({f.evidence.nats:+.0f} nats)" for f in self.outcome.found}
+        # without some the filter diverges: what they bring has no number
+        known = [f for f in self.outcome.found if math.isfinite(f.evidence.nats)]
+        brought = {f.name: f" ({f.evidence.nats:+.0f} nats)" for f in known}
         return ", ".join(f"{name}{brought.get(name, '')}" for name in self.added)
 
     @property

@@ -19,8 +19,8 @@ from nsde_torch.arrays import Array
 from nsde_torch.columns import join_columns, split_columns
 from nsde_torch.effects import Port
 from nsde_torch.inference.steps import Chunks, Steps, low_passed, memory_along, memory_as_measured
-from nsde_torch.inference.stiff import exponentials, is_stiff, stiff_change
 from nsde_torch.rotation import body_rates, turned
+from nsde_torch.sde.exponential import exponentials, is_stiff, stiff_change
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
 

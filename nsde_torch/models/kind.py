@@ -4,12 +4,17 @@ What its models can do they say themselves (`Model.capabilities`). A kind is reg
 `nsde_torch.models.options.MODELS`, or named `module:Class` wherever the name of a kind can stand.
 """
 
+import copy
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar
 
+import numpy as np
+import torch
+
+from nsde_torch.columns import join_columns
 from nsde_torch.data.run import Run
 from nsde_torch.data.windows import TOLERANCE
 from nsde_torch.errors import ConfigError
@@ -17,11 +22,14 @@ from nsde_torch.lookup import class_by_name, function_by_name
 from nsde_torch.models.model import Model, ModelSpec
 from nsde_torch.models.options import MODELS, ModelOptions
 from nsde_torch.recording.smoothing import smoothing_width
+from nsde_torch.sde.exponential import is_stiff, jacobians
 from nsde_torch.sde.options import IntegratorOptions
 from nsde_torch.sde.registry import make_step
 from nsde_torch.sde.step import Step
 from nsde_torch.systems.base import System
 from nsde_torch.systems.options import SystemOptions
+
+_ROWS = 200  # that say whether a machine is stiff
 
 
 def whole_steps(dt: float, runs: Sequence[Run]) -> float:
@@ -62,6 +70,26 @@ class Choice:
             "dt": whole_steps(own.dt, self.runs) if system.dt is None else system.dt,
             "horizon": own.horizon if system.horizon is None else system.horizon,
         }
+
+    @property
+    def stiff(self) -> bool:
+        """Whether something settles in hardly more than a step of the model, by the first values of the machine.
+
+        A machine that knows its attitude is never taken for stiff (`nsde_torch.inference.state_space`).
+        """
+        system = copy.deepcopy(self.machine).double()
+        if not self.runs or system.quaternion is not None:
+            return False
+        run = self.runs[0]
+        some = np.linspace(0, len(run) - 1, _ROWS).astype(np.int64)
+        t, x, u = (torch.from_numpy(part[some]).double() for part in (run.t, run.x, run.u))
+        memory = system.augment(x, u)[:, system.nx :]
+
+        def rate(x: torch.Tensor) -> torch.Tensor:
+            return system.drift(t, join_columns((x, memory)), u)[:, : system.nx]
+
+        with torch.no_grad():
+            return is_stiff(self.common["dt"] * jacobians(rate, x))
 
     @property
     def filter_reach(self) -> int:
@@ -113,6 +141,8 @@ class ModelKind(ABC):
     @classmethod
     def step_name(cls, choice: Choice) -> str:
         """Name of the integrator that the user chose, or else of the one that fits."""
+        if choice.integrator.name is None and choice.stiff:
+            return "exponential" if cls.noise is False else "exponential_maruyama"
         return choice.integrator.name or cls.own_step(choice)
 
     @classmethod

@@ -9,6 +9,8 @@ STEP_HOMES: dict[str, str] = {
     "milstein_stratonovich": "nsde_torch.sde.milstein:MilsteinStratonovich",
     "milstein_heun": "nsde_torch.sde.heun:MilsteinHeun",
     "rk4": "nsde_torch.sde.deterministic:RungeKutta4",
+    "exponential": "nsde_torch.sde.exponential:Exponential",
+    "exponential_maruyama": "nsde_torch.sde.exponential:ExponentialMaruyama",
     "midpoint": "nsde_torch.sde.deterministic:Midpoint",
     "torchdiffeq": "nsde_torch.sde.torchdiffeq_step:TorchDiffEq",
 }

@@ -40,8 +40,8 @@ from nsde_torch.columns import join_columns, split_columns, take_rows
 from nsde_torch.data.system_info import rate_pairs
 from nsde_torch.effects import Port
 from nsde_torch.inference.steps import Steps, data_sizes, memory_along, memory_as_measured
-from nsde_torch.inference.stiff import exponentials, is_stiff, jacobians, stiff_change
 from nsde_torch.rotation import rotate_back, rotation_between
+from nsde_torch.sde.exponential import exponentials, is_stiff, jacobians, stiff_change
 from nsde_torch.sysid.noise import Noise
 from nsde_torch.systems.parameters import ParameterVector
 

@@ -1057,7 +1057,7 @@ def _columns(
         moved[..., which] = space.columns(about.x, about.slopes, sizes, middle=there[0], here=there[1])
     else:
         space.use(theta)
-        moved = space.columns(about.x, about.slopes, mine, middle=there[0], beside=there[1])
+        moved = space.columns(about.x, about.slopes, mine, about.after, there[1], there[0])
     places = tuple(range(at, at + 1 + len(mine))), tuple(vector.labels[j] for j in mine)
     values = theta[mine], vector.low[mine], vector.high[mine]
     return _Entry(name, start, *places, *values, 1 + np.array(missing, dtype=np.int64)), moved

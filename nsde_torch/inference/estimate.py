@@ -241,6 +241,7 @@ class LogLikelihood:
         out = copy.copy(self)
         out._set(system, self.space.steps, self.space.chunks, self.space.disturbances, estimates)
         out.space.measured = self.space.measured  # without the same outliers
+        out.space.stiff = self.space.stiff
         return out
 
     def part(self, rows: int) -> Tensor | None:

@@ -395,17 +395,19 @@ class StateSpace:
         """What some parameters do to a step (T, C, ne, k) at states (T, C, nx).
 
         What they do to the rate in the middle of the step, carried to its end: second order in h, of directions in
-        which the likelihood is then climbed as it is.
+        which the likelihood is then climbed as it is. Of a machine that is stiff, what they do to the step itself.
 
         Args:
             slopes: Of the step from these (T, C, ne, n).
             which: Numbers of the parameters.
-            after: States after the undisturbed step, where they are known.
+            after: States after the undisturbed step, where they are known; `beside` others, by those physics.
             beside: Rates of other physics in the middle of the same steps (`rates`): what this does beside it is then
                 the first of the columns (T, C, ne, 1 + k).
             middle: States in the middle of the steps (T, C, nx), where they are known.
             here: Rates of this physics there (T C, nx), where they are known.
         """
+        if self.stiff:
+            return self._stiff_columns(x, which, None if beside is None else after)
         v = self.vector
         there = self.midway(x, after) if middle is None else middle
         middle = _rows(there)
@@ -425,21 +427,38 @@ class StateSpace:
             rate = _error_rate(v.system, middle, self.rate(t, middle, held, u))
             torch.sub(rate.T, base.T, out=out[i]).mul_(self.h / by)
         self._take(self.theta)
-        return self.passed(self._to_the_end(out.permute(2, 1, 0).contiguous(), slopes, middle))
+        return self.passed(self._to_the_end(out.permute(2, 1, 0).contiguous(), slopes))
+
+    def _stiff_columns(self, x: Tensor, which: Sequence[int], beside: Tensor | None) -> Tensor:
+        """See `columns`: by differences of steps.
+
+        What settles within a step is not where its middle seems to be: of a motor whose current does, how fast it is
+        seemed to be known three hundred times as well as it was, and the fit crept towards it.
+        """
+        v, base = self.vector, self.after(x)
+        out = [] if beside is None else [self.error(base, beside)]
+        t, flat, u = map(_rows, (self.chunks.t, x, self.chunks.u))
+        for j in which:
+            by = _SHARE * float(v.scale[j])
+            theta = self.theta.clone()
+            theta[..., j] += by
+            self._take(theta)
+            held = self._memory()[0] if v.moves_memory[j] and v.system.nz > self.nx else self.memory
+            out.append(self.error(self.step(t, flat, _rows(held), u).view(x.shape), base) / by)
+        self._take(self.theta)
+        return self.passed(torch.stack(out, -1)) if out else x.new_zeros(*x.shape[:2], self.ne, 0)
 
     def pushed(self, x: Tensor, slopes: Tensor, after: Tensor | None = None) -> Tensor:
         """What unit forces on the disturbed ports do to a step (T, C, ne, nd), not yet `passed`; see `columns`."""
+        if self.stiff:
+            return slopes[..., self.ne :]
         t, memory, u = self._in_the_middle()
         middle = _rows(self.midway(x, after))
-        return self._to_the_end(self._pushed_by(middle, t, memory, u, range(self.ne, self.n)), slopes, middle)
+        return self._to_the_end(self._pushed_by(middle, t, memory, u, range(self.ne, self.n)), slopes)
 
-    def _to_the_end(self, moved: Tensor, slopes: Tensor, middle: Tensor) -> Tensor:
-        """What a step does (T C, ne, k), of the rate in its middle (T C, nx), carried to its end (T, C, ne, k)."""
-        if self.stiff:
-            t, memory, u = self._in_the_middle()
-            out = exponentials(self._pushed_by(middle, t, memory, u, range(self.ne)))[0] @ moved
-        else:
-            out = torch.baddbmm(moved, _rows(slopes[..., : self.ne]), moved, beta=0.5, alpha=0.5)
+    def _to_the_end(self, moved: Tensor, slopes: Tensor) -> Tensor:
+        """What a step does (T C, ne, k), of the rate in its middle, carried to its end (T, C, ne, k)."""
+        out = torch.baddbmm(moved, _rows(slopes[..., : self.ne]), moved, beta=0.5, alpha=0.5)
         return out.view(*slopes.shape[:2], *out.shape[1:])
 
     def _in_the_middle(self) -> tuple[Tensor, Tensor, Tensor]:

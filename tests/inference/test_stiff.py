@@ -1,0 +1,69 @@
+"""Steps that are exact for what is linear, however fast it settles, and the likelihood of a motor with such a current."""
+
+import numpy as np
+import pytest
+import torch
+from scipy.linalg import expm
+from torch import Tensor
+
+import nsde_torch
+from nsde_torch.diagnosis.joint_selection import fitted_at
+from nsde_torch.effects import Port
+from nsde_torch.inference import LogLikelihood
+from nsde_torch.sde.exponential import exponentials, stiff_change
+from tests.helpers.electric_motors import BACK, DRAG, PULL, CoilMotor, turns
+
+
+@pytest.mark.parametrize("size", [0.1, 1.0, 30.0])
+def test_functions_of_matrices_are_those_of_the_exponential_of_a_wider_one(size: float) -> None:
+    a = size * (np.random.default_rng(1).normal(size=(4, 3, 3)) - 2.0 * np.eye(3))
+    one, three = exponentials(torch.from_numpy(a))
+    for k in range(len(a)):
+        wide = np.zeros((12, 12))
+        wide[:3, :3] = a[k]
+        wide[:3, 3:6] = wide[3:6, 6:9] = wide[6:9, 9:] = np.eye(3)
+        whole = expm(wide)
+        np.testing.assert_allclose(one[k], whole[:3, 3:6], rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(three[k], whole[:3, 9:], rtol=1e-9, atol=1e-12)
+
+
+def test_a_step_is_exact_for_what_is_linear_and_of_third_order_otherwise() -> None:
+    rate = torch.tensor([[0.0, 1.0], [-3.0, -900.0]], dtype=torch.float64)
+    x = torch.tensor([[0.4, -0.2]], dtype=torch.float64)
+    change = stiff_change(lambda z: z @ rate.T, x, 0.05)
+    np.testing.assert_allclose((x + change)[0], expm(0.05 * rate.numpy()) @ x[0].numpy(), rtol=1e-6)
+
+    def bent(z: Tensor) -> Tensor:
+        return torch.stack((z[:, 1], -z[:, 0].sin() - 50.0 * z[:, 1] * (1.0 + z[:, 0] ** 2)), 1)
+
+    def after(parts: int) -> Tensor:
+        z = x
+        for _ in range(parts):
+            z = z + stiff_change(bent, z, 0.4 / parts)
+        return z
+
+    exact = after(640)
+    errors = [float((after(parts) - exact).norm()) for parts in (20, 40, 80)]
+    assert np.log2(errors[0] / errors[1]) > 2.5
+    assert np.log2(errors[1] / errors[2]) > 2.5
+
+
+@pytest.mark.parametrize("decay", [60.0, 1000.0])
+def test_a_motor_whose_current_settles_within_a_row_is_fitted_as_it_is(decay: float) -> None:
+    runs, machine = turns(3, decay).runs, CoilMotor()
+    best = fitted_at(LogLikelihood(machine, runs, 1.0), machine, None).best
+    assert not best.misfit
+    assert best.disturbances == ((Port.TORQUE, 0), (Port.RATE, 2))
+    error = np.sqrt(np.diag(best.spread.covariance))
+    value = dict(zip(best.vector.labels, best.theta, strict=True))
+    for (name, found), std in zip(value.items(), error, strict=True):
+        truth = {"pull": PULL, "drag": DRAG, "fast": decay, "decay": decay, "back": decay * BACK}[name]
+        assert abs(found - truth) < 3.5 * std + 1e-3 * truth
+
+
+def test_a_model_of_it_predicts(tmp_path: object) -> None:
+    data = turns(4, 1000.0)
+    model = nsde_torch.train(data, system=CoilMotor, model="sysid", say=False)
+    errors = model.metrics["test"]
+    assert errors["diverged"] == 0
+    assert errors["errors"]["model"]["speed"]["1"] < 0.02 * errors["errors"]["hold"]["speed"]["1"]

@@ -20,6 +20,7 @@ from nsde_torch.diagnosis.candidates import why_not
 from nsde_torch.effects import Coordinate, Parameter, Port
 from nsde_torch.systems import Defaults, ResidualPort, System, make_system
 from tests.helpers.diagnosed import assert_interval
+from tests.helpers.electric_motors import CoilMotor, turns
 from tests.helpers.two_joints import TwoJoints
 
 PENDULUM = "pendulum:Pendulum"
@@ -331,3 +332,17 @@ def test_the_zero_of_a_gap_is_found_where_a_force_of_it_is_no_line() -> None:
     found = nsde_torch.diagnose(runs, system=Lift, say=False)
     assert found.added == ["position_bias"]
     assert_interval(found.parameters, "position_bias.bias", bias, slack=1e-5, width=1e-4)
+
+
+def test_what_disturbs_a_state_that_no_port_pushes_is_no_effect() -> None:
+    found = nsde_torch.diagnose(turns(6, 60.0, ripple=0.3), system=CoilMotor, say=False)
+    assert found.content()["verdict"] == "no_effect"
+
+
+def test_dry_friction_of_a_motor_whose_current_settles_within_a_row() -> None:
+    few = ("coulomb_friction", "relaxation", "viscous_friction", "actuator_lag")
+    found = nsde_torch.diagnose(turns(6, 1000.0, friction=3.0), system=CoilMotor, candidates=few, say=False)
+    content = found.content()
+    assert content["added"] == ["coulomb_friction"]
+    assert not any(f["lead"] for f in content["findings"])
+    assert_interval(content["parameters"], "coulomb_friction.size", 3.0, slack=0.05, width=0.5)

@@ -13,7 +13,7 @@ from nsde_torch.systems import Defaults, ErrorGroup, ResidualPort, System
 
 PULL, DRAG, BACK = 40.0, 0.6, 0.05
 """rad/s2 of an ampere, 1/s, and A (of a volt, over 1 ohm) of a rad/s."""
-_NOISE, _GUST = (0.001, 0.05, 0.01), (1.0, 0.02)  # of sensors; of torque [rad/s2], and of voltage, which last
+_NOISE, _GUST = (0.001, 0.05, 0.01), 1.0  # of sensors, and of torque [rad/s2]
 _LASTS, _FINE = (0.1, 0.03), 20  # [s]; parts of a row of 10 ms
 
 
@@ -56,8 +56,13 @@ class CoilMotor(System):
         return x[:, 1:]
 
 
-def turns(seed: int, decay: float, *, friction: float = 0.0, seconds: float = 20.0) -> DataSet:
-    """Three runs whose current settles in 1 / decay [s], exact over steps of 0.5 ms; dry friction [rad/s2] of tanh."""
+def turns(
+    seed: int, decay: float, *, friction: float = 0.0, ripple: float = 0.02, seconds: float = 20.0
+) -> DataSet:
+    """Three runs whose current settles in 1 / decay [s], exact over steps of 0.5 ms.
+
+    With a dry friction [rad/s2] of tanh, and a ripple of the voltage [V] that nobody logs.
+    """
     rng, rows, h = np.random.default_rng(seed), round(seconds / 0.01), 0.01 / _FINE
     rate = np.zeros((6, 6))  # of q, w, i, the input, and two gusts
     rate[0, 1] = 1.0
@@ -65,7 +70,7 @@ def turns(seed: int, decay: float, *, friction: float = 0.0, seconds: float = 20
     rate[2, [1, 2, 3, 5]] = -decay * BACK, -decay, decay, decay
     rate[[4, 5], [4, 5]] = -1.0 / np.array(_LASTS)
     step, t, raw = expm(h * rate), 0.01 * np.arange(rows), []
-    kick = np.array(_GUST) * np.sqrt(1.0 - np.exp(-2.0 * h / np.array(_LASTS)))
+    kick = np.array((_GUST, ripple)) * np.sqrt(1.0 - np.exp(-2.0 * h / np.array(_LASTS)))
     for name in ("a", "b", "c"):
         waves = np.sin(np.outer(t, 2 * np.pi * rng.uniform(0.1, 2.5, 7)) + rng.uniform(0.0, 6.0, 7)).sum(1)
         u = 0.7 * waves + np.repeat(rng.choice((-1.0, 1.0), rows // 90 + 1), 90)[:rows]

@@ -1,4 +1,4 @@
-"""Steps that are exact for what is linear, however fast it settles, and the likelihood of a motor with such a current."""
+"""Steps that are exact for what is linear, however fast it settles; the likelihood of a motor with such a current."""
 
 import numpy as np
 import pytest
@@ -50,7 +50,8 @@ def test_a_step_is_exact_for_what_is_linear_and_of_third_order_otherwise() -> No
 
 @pytest.mark.parametrize("decay", [60.0, 1000.0])
 def test_a_motor_whose_current_settles_within_a_row_is_fitted_as_it_is(decay: float) -> None:
-    runs, machine = turns(3, decay).runs, CoilMotor()
+    first = {"fast": 0.9 * decay, "decay": 0.9 * decay, "back": 0.9 * decay * BACK}
+    runs, machine = turns(3, decay).runs, CoilMotor(values=first)
     best = fitted_at(LogLikelihood(machine, runs, 1.0), machine, None).best
     assert not best.misfit
     assert best.disturbances == ((Port.TORQUE, 0), (Port.RATE, 2))
@@ -61,7 +62,7 @@ def test_a_motor_whose_current_settles_within_a_row_is_fitted_as_it_is(decay: fl
         assert abs(found - truth) < 3.5 * std + 1e-3 * truth
 
 
-def test_a_model_of_it_predicts(tmp_path: object) -> None:
+def test_a_model_of_it_predicts() -> None:
     data = turns(4, 1000.0)
     model = nsde_torch.train(data, system=CoilMotor, model="sysid", say=False)
     errors = model.metrics["test"]

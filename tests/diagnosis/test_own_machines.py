@@ -341,7 +341,9 @@ def test_what_disturbs_a_state_that_no_port_pushes_is_no_effect() -> None:
 
 def test_dry_friction_of_a_motor_whose_current_settles_within_a_row() -> None:
     few = ("coulomb_friction", "relaxation", "viscous_friction", "actuator_lag")
-    found = nsde_torch.diagnose(turns(6, 1000.0, friction=3.0), system=CoilMotor, candidates=few, say=False)
+    found = nsde_torch.diagnose(
+        turns(6, 1000.0, friction=3.0, seconds=8.0), system=CoilMotor, candidates=few, say=False
+    )
     content = found.content()
     assert content["added"] == ["coulomb_friction"]
     assert not any(f["lead"] for f in content["findings"])

@@ -29,7 +29,8 @@ def test_rates_with_physics_are_nearer_than_those_without() -> None:
 
 
 def test_rates_that_diverge_between_rows_are_refused_with_what_to_record() -> None:
-    stiff = make_system("mass_spring_damper", values={"linear_spring.stiffness": 400.0})
+    values = {"cubic_stiffness.stiffness": 400.0}
+    stiff = make_system("mass_spring_damper", effects=["cubic_stiffness"], values=values)
     t = 0.5 * np.arange(60)
     run = Run("r", t, np.stack([np.sin(t), np.cos(t)], 1), np.zeros((60, 1)), inferred={"q_dot": 0.1})
     with pytest.raises(DataError, match=r"q_dot cannot be inferred from q: over steps of 0\.5 s .* diverges"):

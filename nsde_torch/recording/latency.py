@@ -20,7 +20,7 @@ seconds of the log's own clock.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import isfinite, log
+from math import isfinite, log, nan
 from typing import TypeAlias
 
 import numpy as np
@@ -64,6 +64,7 @@ class Latency(Uncertain):
     channel: str  # a state, or the common name of several (`p` of `p_x p_y p_z`)
     other: str  # what it is late against
     filtered: bool  # whether a filter of first order does better than a delay; then it is its time constant
+    either: bool = False  # whether such a filter does as well as the delay
 
     @property
     def seconds(self) -> float:
@@ -89,9 +90,10 @@ def latencies(system: SystemInfo, runs: Sequence[Run], *, clock: float = 1.0) ->
     for group, (positions, rates) in pairs_of(system).items():
         rough = _time_of(group, parts[group], dt, filtered=False) if group in parts else None
         if rough is not None:
-            fit, filtered = _delay_or_filter(group, parts[group], dt, rough[0])
+            fit, better = _delay_or_filter(group, parts[group], dt, rough[0])
             value = fit.value / clock, fit.error / clock, fit.degrees
-            out.append(Latency(*value, common_name(positions), common_name(rates), filtered))
+            kind = better > _FILTER_NATS, abs(better) <= _FILTER_NATS
+            out.append(Latency(*value, common_name(positions), common_name(rates), *kind))
     return out
 
 
@@ -113,11 +115,14 @@ _Fit: TypeAlias = tuple[Uncertain, float]  # how late positions are [s], and wha
 
 def _delay_or_filter(
     group: str, pieces: Sequence[_Piece], dt: float, delay: Uncertain
-) -> tuple[Uncertain, bool]:
-    """A delay that was roughly found, from averaged channels; or the filter that does the same, and True."""
+) -> tuple[Uncertain, float]:
+    """A delay that was roughly found, from averaged channels, or the filter that does the same where it does better.
+
+    And by how many nats that does better; nan where it was not tried.
+    """
     steps = round(_AVERAGED * abs(delay.value) / dt)
     if abs(delay.value) <= dt or any(len(rate) < 8 * steps for _, _, rate in pieces):
-        return delay, False  # below a step, they are alike
+        return delay, 0.0  # below a step, they are alike
 
     def averaged(values: Array) -> Array:
         once = uniform_filter1d(values, steps, axis=0)
@@ -125,9 +130,10 @@ def _delay_or_filter(
 
     smooth = [(averaged(change), averaged(integral), averaged(rate)) for change, integral, rate in pieces]
     one, other = (_time_of(group, smooth, dt, filtered=f) for f in (False, True))
-    if one is None:
-        return delay, False
-    return (other[0], True) if other is not None and other[1] < one[1] - _FILTER_NATS else (one[0], False)
+    if one is None or other is None:
+        return (delay if one is None else one[0]), nan
+    better = one[1] - other[1]
+    return (other[0] if better > _FILTER_NATS else one[0]), better
 
 
 def _time_of(group: str, pieces: Sequence[_Piece], dt: float, *, filtered: bool) -> _Fit | None:
@@ -370,6 +376,8 @@ def _detected(late: Sequence[Latency], *, short: bool = False) -> Detected:
     words = ", ".join(f"{d.channel} is logged {1e3 * d.seconds:.3g} ms {how} {d.other}" for d in late)
     values = {d.channel: (d.seconds, d.low, d.high, "s") for d in late}
     text = f"Channels do not belong to the same time: {words}, as the one is the integral of the other."
+    if any(d.either for d in late):
+        text += " A filter of first order with that time constant would do as well: these data are too slow to tell."
     return Detected(name, values, min(d.p for d in late), text, short)
 
 

@@ -75,9 +75,21 @@ def test_a_filter_is_told_from_a_delay(seconds: float, column: int, filtered: bo
     assert late.channel == ("q", "q_dot")[column]
     assert late.seconds == pytest.approx(seconds, rel=0.05)
     assert late.filtered == filtered
+    assert not late.either
     times = {late.channel: seconds}
     back = on_time(runs[0], SPRING, *([{}, times] if filtered else [times]))
     assert late_channels(SPRING, [back])[0].seconds < 0.2 * seconds
+
+
+def test_motion_that_is_too_slow_to_tell_a_filter_from_a_delay_is_said_to_be() -> None:
+    chain, rng, runs = Recording(sensor_lag={"q_dot": 0.012}), np.random.default_rng(0), []
+    for k in range(4):
+        clean = run(k, noise=0.0)
+        made = chain.apply(RawRun("run", clean.t, clean.x, clean.u), SPRING, dt=DT, rng=rng)
+        runs.append(Run(f"run_{k}", made.t, made.x + 0.03 * rng.normal(size=made.x.shape), made.u))
+    (late,) = late_channels(SPRING, runs)
+    assert late.seconds == pytest.approx(0.012, rel=0.2)
+    assert late.either
 
 
 def test_sensors_that_are_on_time_are_hardly_ever_called_late() -> None:

@@ -21,6 +21,7 @@ from nsde_torch.sde.step import Step
 # voltage was to turn the other way, and was a torque of its own (tests/inference/test_stiff.py)
 _STIFF = 0.7
 _SMALL = 1e-6  # differences of states
+_DOUBLED = 8  # times a model doubles, as what is traced has no numbers: enough for norms of 128
 _TERMS = 10  # of the series of phi_3, of matrices of a norm of at most 1/2: to 1e-12
 
 
@@ -32,14 +33,16 @@ def is_stiff(a: Tensor) -> bool:
     return not float(largest) ** 0.125 <= _STIFF
 
 
-def exponentials(a: Tensor) -> tuple[Tensor, Tensor]:
+def exponentials(a: Tensor, doubled: int | None = None) -> tuple[Tensor, Tensor]:
     """The functions phi_1 and phi_3 of matrices (N, n, n): phi_1(a) = a^-1 (exp(a) - 1).
 
-    By the series at a part of them, doubled (Higham, Functions of Matrices (2008), chapter 10).
+    By the series at a part of them of 2^-doubled, doubled (Higham, Functions of Matrices (2008), chapter 10); None: as
+    small a part as they ask for.
     """
     eye = torch.eye(a.shape[-1], dtype=a.dtype, device=a.device)
-    norm = float(a.detach().abs().sum(-1).amax().nan_to_num(0.0, 0.0)) if a.numel() else 0.0
-    doubled = max(0, ceil(log2(max(2.0 * norm, 1e-9))))
+    if doubled is None:
+        norm = float(a.abs().sum(-1).amax().nan_to_num(0.0, 0.0)) if a.numel() else 0.0
+        doubled = max(0, ceil(log2(max(2.0 * norm, 1e-9))))
     part, three = a / 2.0**doubled, torch.zeros_like(a)
     for k in reversed(range(_TERMS)):
         three = eye + part @ three / (k + 4.0)
@@ -71,7 +74,7 @@ def stiff_change(
 ) -> Tensor:
     """By how much states (N, n) change over a step of h [s], from their rates, and slopes of these (N, n, n)."""
     a = h * (jacobians(rate, x) if slopes is None else slopes)
-    one, three = exponentials(a)
+    one, three = exponentials(a, None if slopes is None else _DOUBLED)
     before = h * rate(x)
     moved = _times(one, before)
     bent = h * rate(x + moved) - before - _times(a, moved)
@@ -93,7 +96,7 @@ class _Exponential(Step):
         out = z + stiff_change(rate, z, dt, slopes)
         if dw is None:
             return out
-        return out + _times(exponentials(dt * slopes)[0], sde.diffusion(t, z, u) * dw)
+        return out + _times(exponentials(dt * slopes, _DOUBLED)[0], sde.diffusion(t, z, u) * dw)
 
 
 @final

@@ -5,11 +5,13 @@ import pytest
 import torch
 from scipy.linalg import expm
 from torch import Tensor
+from torch.fx.experimental.proxy_tensor import make_fx
 
 import nsde_torch
 from nsde_torch.diagnosis.joint_selection import fitted_at
 from nsde_torch.effects import Port
 from nsde_torch.inference import LogLikelihood
+from nsde_torch.sde import WithoutNoise, make_step
 from nsde_torch.sde.exponential import exponentials, stiff_change
 from tests.helpers.electric_motors import BACK, DRAG, PULL, CoilMotor, turns
 
@@ -68,3 +70,13 @@ def test_a_model_of_it_predicts() -> None:
     errors = model.metrics["test"]
     assert errors["diverged"] == 0
     assert errors["errors"]["model"]["speed"]["1"] < 0.02 * errors["errors"]["hold"]["speed"]["1"]
+
+
+def test_its_step_can_be_traced_as_an_export_asks_for() -> None:
+    machine, step = WithoutNoise(CoilMotor()), make_step("exponential")
+    z, u = torch.tensor([[0.1, 2.0, 0.5]]), torch.tensor([[3.0]])
+
+    def advance(z: Tensor, u: Tensor) -> Tensor:
+        return step.advance(machine, 0.0, z, u, 0.01, None)
+
+    torch.testing.assert_close(make_fx(advance)(z, u)(2.0 * z, u), advance(2.0 * z, u))

@@ -8,7 +8,6 @@ is 0.9, and diverges at 2.8. Noise goes through phi_1(h J) g dW, as an average o
 """
 
 from collections.abc import Callable
-from math import ceil, log2
 from typing import final
 
 import torch
@@ -21,15 +20,15 @@ from nsde_torch.sde.step import Step
 # voltage was to turn the other way, and was a torque of its own (tests/inference/test_stiff.py)
 _STIFF = 0.7
 _SMALL = 1e-6  # differences of states
+_MOST = 14  # doublings: of norms beyond 8,000 nobody asks, as of a friction that ends at no speed at all
 _DOUBLED = 8  # times a model doubles, as what is traced has no numbers: enough for norms of 128
 _TERMS = 10  # of the series of phi_3, of matrices of a norm of at most 1/2: to 1e-12
 
 
 def is_stiff(a: Tensor) -> bool:
     """Whether slopes of rates, times a step (N, n, n), are too large for a rule that takes them for small."""
-    largest = (
-        torch.linalg.matrix_power(a, 8).abs().sum(-1).amax()
-    )  # about the largest eigenvalue's eighth power
+    # about the largest eigenvalue, to the eighth power
+    largest = torch.linalg.matrix_power(a, 8).abs().sum(-1).amax()
     return not float(largest) ** 0.125 <= _STIFF
 
 
@@ -37,12 +36,16 @@ def exponentials(a: Tensor, doubled: int | None = None) -> tuple[Tensor, Tensor]
     """The functions phi_1 and phi_3 of matrices (N, n, n): phi_1(a) = a^-1 (exp(a) - 1).
 
     By the series at a part of them of 2^-doubled, doubled (Higham, Functions of Matrices (2008), chapter 10); None: as
-    small a part as they ask for.
+    small a part as each asks for, and no numbers of those that ask for less than 2^-_MOST.
     """
     eye = torch.eye(a.shape[-1], dtype=a.dtype, device=a.device)
     if doubled is None:
-        norm = float(a.abs().sum(-1).amax().nan_to_num(0.0, 0.0)) if a.numel() else 0.0
-        doubled = max(0, ceil(log2(max(2.0 * norm, 1e-9))))
+        each = torch.ceil(torch.log2(2.0 * a.abs().sum(-1).amax(-1))).nan_to_num(torch.inf).clamp_min(0.0)
+        one, three = torch.full_like(a, torch.nan), torch.full_like(a, torch.nan)
+        for some in torch.unique(each[each <= _MOST]).tolist():
+            rows = each == some
+            one[rows], three[rows] = exponentials(a[rows], int(some))
+        return one, three
     part, three = a / 2.0**doubled, torch.zeros_like(a)
     for k in reversed(range(_TERMS)):
         three = eye + part @ three / (k + 4.0)

@@ -73,7 +73,8 @@ def test_a_model_of_it_predicts() -> None:
 
 
 def test_its_step_can_be_traced_as_an_export_asks_for() -> None:
-    machine, step = WithoutNoise(CoilMotor()), make_step("exponential")
+    motor, step = CoilMotor(), make_step("exponential")
+    machine = WithoutNoise(motor, motor.drift)
     z, u = torch.tensor([[0.1, 2.0, 0.5]]), torch.tensor([[3.0]])
 
     def advance(z: Tensor, u: Tensor) -> Tensor:

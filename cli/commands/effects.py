@@ -114,6 +114,8 @@ def _row(cls: type[Effect], systems: Sequence[str]) -> dict[str, Any]:
 
 def table(rows: Sequence[dict[str, Any]], width: int, *, systems: bool) -> str:
     """The catalogue as aligned tables, sources under the effects; with `systems`, headed by who they are for."""
+    from nsde_torch.effects.by_run import RUN
+
     cells = [(row["name"], row["port"], row["formula"], _parameters(row)) for row in rows]
     fixed = [max(map(len, column)) for column in list(zip(*cells, strict=True))[:3]]
     fixed[2] = min(fixed[2], (width - sum(fixed[:2])) // 2)
@@ -131,6 +133,8 @@ def table(rows: Sequence[dict[str, Any]], width: int, *, systems: bool) -> str:
         said = [f"source: {row['source']}"]
         if row["no_candidate"]:
             said.insert(0, f"no candidate of a diagnosis of this machine: {row['no_candidate']}")
+        elif RUN in row["exogenous"]:  # a diagnosis numbers the runs itself
+            said.insert(0, "a candidate of a diagnosis of several runs in which something oscillates")
         elif row["exogenous"]:
             said.insert(0, f"a candidate of a diagnosis where the log has {', '.join(row['exogenous'])}")
         for one in said:

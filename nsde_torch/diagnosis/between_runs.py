@@ -106,17 +106,19 @@ def _one_is_odd(guard: Guarded) -> bool:
 
 
 def _instead(search: Search, joint: JointSelection) -> list[str]:
-    """What was selected and may be there in the place of a difference: laws, what drifts, and what hardly repeats.
+    """What was selected and may be there in the place of a difference.
 
-    A gain that falls at a moment was a drift, surely, and a force that begins half a slow wave; zeros that differ made
-    a law of the time (carts of `benchmarks/blind/run_differences.py`, seed 3).
+    That is laws, what drifts, what hardly repeats, and what has numbers for each run. A gain that falls at a moment was
+    a drift, surely, and a force that begins half a slow wave; zeros that differ made a law of the time (carts of
+    `benchmarks/blind/run_differences.py`, seed 3). Masses that differ made waves of what inputs do (spring of seed
+    8101).
     """
-    best = joint.final.best
-    drifting = {e.name for e in joint.final.system.effects if isinstance(e, Effect) and e.drifts}
+    best, effects = joint.final.best, joint.final.system.effects
+    some = {e.name for e in effects if isinstance(e, Effect) and (e.drifts or isinstance(e, ByRun))}
     return [
         name
         for name in joint.selected
-        if is_law(name) or name in drifting or repeats_seldom(search, best.vector, best.theta, name)
+        if is_law(name) or name in some or repeats_seldom(search, best.vector, best.theta, name)
     ]
 
 

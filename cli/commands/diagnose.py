@@ -34,7 +34,7 @@ class DiagnoseConfig:
     )
     rehearsals: int = key(3, "logs of the machine that was found, with rehearse=true", low=1)
     max_minutes: float | None = of(Options, "max_minutes")
-    verbose: bool = key(False, "print all that the report says, tables and the summary of the data too")
+    verbose: bool = key(False, "print all that the report says, and the data's summary")
     resume: str | None = key(
         None,
         "folder of a diagnosis that did not come to its end, to go on with what it had selected, with its "

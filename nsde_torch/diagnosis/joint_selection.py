@@ -979,7 +979,7 @@ def looked(search: Search, place: FittedPhysics, frequencies: Sequence[float] = 
     about = place.at.about
     middle = space.midway(about.x, about.after)
     base = space.columns(about.x, about.slopes, everything, middle=middle)
-    tables, entries, rates = [base.float()], [], space.rates(middle)
+    tables, entries, rates, carry = [base.float()], [], space.rates(middle), space.carried(middle)
     at = 1 + base.shape[-1]
     names = candidate_names(place.system, search.candidates)
     for name in names:
@@ -988,7 +988,7 @@ def looked(search: Search, place: FittedPhysics, frequencies: Sequence[float] = 
         for start in starts(place.system, name, place.at.of.sizes, frequencies):
             try:
                 own = own or place.at.of.of(joined(place.system, name, start), space.estimates)
-                entry, columns = _columns(own, place, name, start, (middle, rates), at)
+                entry, columns = _columns(own, place, name, start, (middle, rates, carry), at)
             except (NsdeError, *_SINGULAR):
                 continue
             if not bool(torch.isfinite(columns).all()):
@@ -1032,12 +1032,13 @@ def _columns(
     place: FittedPhysics,
     name: str,
     start: Start,
-    there: tuple[torch.Tensor, torch.Tensor],
+    there: tuple[torch.Tensor, torch.Tensor, torch.Tensor | None],
     at: int,
 ) -> tuple[_Entry, torch.Tensor]:
     """What a candidate does to the steps: by its start, beside the physics, and by each parameter.
 
-    `own` is the likelihood with it, `there` are states in the middle of the steps, and the rates of the physics there.
+    `own` is the likelihood with it, `there` are states in the middle of the steps, the rates of the physics there, and
+    what becomes of these (`StateSpace.carried`).
     """
     space, vector, about, labels = own.space, own.vector, place.at.about, place.best.vector.labels
     known = dict(zip(labels, place.best.theta.tolist(), strict=True))
@@ -1054,10 +1055,11 @@ def _columns(
         space.use(np.where(np.isin(np.arange(len(theta)), sizes), 0.0, theta))
         moved = about.slopes.new_zeros(*about.x.shape[:2], space.ne, 1 + len(mine))
         which = [1 + mine.index(j) for j in sizes]
-        moved[..., which] = space.columns(about.x, about.slopes, sizes, middle=there[0], here=there[1])
+        here = space.columns(about.x, about.slopes, sizes, None, None, *there)
+        moved[..., which] = here
     else:
         space.use(theta)
-        moved = space.columns(about.x, about.slopes, mine, about.after, there[1], there[0])
+        moved = space.columns(about.x, about.slopes, mine, None, there[1], there[0], carry=there[2])
     places = tuple(range(at, at + 1 + len(mine))), tuple(vector.labels[j] for j in mine)
     values = theta[mine], vector.low[mine], vector.high[mine]
     return _Entry(name, start, *places, *values, 1 + np.array(missing, dtype=np.int64)), moved

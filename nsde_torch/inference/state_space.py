@@ -391,6 +391,7 @@ class StateSpace:
         beside: Tensor | None = None,
         middle: Tensor | None = None,
         here: Tensor | None = None,
+        carry: Tensor | None = None,
     ) -> Tensor:
         """What some parameters do to a step (T, C, ne, k) at states (T, C, nx).
 
@@ -400,14 +401,15 @@ class StateSpace:
         Args:
             slopes: Of the step from these (T, C, ne, n).
             which: Numbers of the parameters.
-            after: States after the undisturbed step, where they are known; `beside` others, by those physics.
+            after: States after the undisturbed step, where they are known.
             beside: Rates of other physics in the middle of the same steps (`rates`): what this does beside it is then
                 the first of the columns (T, C, ne, 1 + k).
             middle: States in the middle of the steps (T, C, nx), where they are known.
             here: Rates of this physics there (T C, nx), where they are known.
+            carry: `carried` from there, of physics that are stiff: enough for a candidate, and ten times as fast.
         """
-        if self.stiff:
-            return self._stiff_columns(x, which, None if beside is None else after)
+        if self.stiff and carry is None:
+            return self._stiff_columns(x, which)
         v = self.vector
         there = self.midway(x, after) if middle is None else middle
         middle = _rows(there)
@@ -427,16 +429,25 @@ class StateSpace:
             rate = _error_rate(v.system, middle, self.rate(t, middle, held, u))
             torch.sub(rate.T, base.T, out=out[i]).mul_(self.h / by)
         self._take(self.theta)
-        return self.passed(self._to_the_end(out.permute(2, 1, 0).contiguous(), slopes))
+        moved = out.permute(2, 1, 0).contiguous()
+        if carry is None:
+            return self.passed(self._to_the_end(moved, slopes))
+        return self.passed((carry @ moved).view(*slopes.shape[:2], *moved.shape[1:]))
 
-    def _stiff_columns(self, x: Tensor, which: Sequence[int], beside: Tensor | None) -> Tensor:
+    def carried(self, middle: Tensor) -> Tensor | None:
+        """What becomes of a rate in the middle of the step (T, C, nx) at its end (T C, ne, ne), where that is stiff."""
+        if not self.stiff:
+            return None
+        t, memory, u = self._in_the_middle()
+        return exponentials(self._pushed_by(_rows(middle), t, memory, u, range(self.ne)))[0]
+
+    def _stiff_columns(self, x: Tensor, which: Sequence[int]) -> Tensor:
         """See `columns`: by differences of steps.
 
         What settles within a step is not where its middle seems to be: of a motor whose current does, how fast it is
         seemed to be known three hundred times as well as it was, and the fit crept towards it.
         """
-        v, base = self.vector, self.after(x)
-        out = [] if beside is None else [self.error(base, beside)]
+        v, base, out = self.vector, self.after(x), list[Tensor]()
         t, flat, u = map(_rows, (self.chunks.t, x, self.chunks.u))
         for j in which:
             by = _SHARE * float(v.scale[j])

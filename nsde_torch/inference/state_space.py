@@ -20,7 +20,7 @@ from nsde_torch.columns import join_columns, split_columns
 from nsde_torch.effects import Port
 from nsde_torch.inference.steps import Chunks, Steps, low_passed, memory_along, memory_as_measured
 from nsde_torch.rotation import body_rates, turned
-from nsde_torch.sde.exponential import exponentials, is_stiff, stiff_change
+from nsde_torch.sde.exponential import MOSTLY, exponentials, stiff_change, stiff_rows
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
 
@@ -144,7 +144,7 @@ class StateSpace:
         self.every, self.band = list(every), dict(band)
         self.least_sensor = torch.full((len(self.observed),), -torch.inf, dtype=torch.float64)
         self.measured = None if max(self.every) == 1 else self.logged
-        self.stiff = False  # as the last linearisation found it
+        self.stiff: Tensor | None = None  # rows that are stiff (T, C), as the last linearisation found them
 
     @property
     def logged(self) -> Tensor:
@@ -157,6 +157,7 @@ class StateSpace:
         out.chunks = self.chunks.some(which)
         out.memory, out.begun = self.memory[:, which], self.begun[:, which]
         out.measured = None if self.measured is None else self.measured[:, which]
+        out.stiff = None if self.stiff is None else self.stiff[:, which]
         return out
 
     @property
@@ -256,11 +257,26 @@ class StateSpace:
         return self._of_rows(partial(self._rate, push or {}), t, x, memory, u)
 
     def step(self, t: Tensor, x: Tensor, memory: Tensor, u: Tensor) -> Tensor:
-        """States (N, nx) an undisturbed step later: Runge and Kutta's fourth order, or what `stiff` machines take."""
-        if not self.stiff:
+        """States (N, nx) an undisturbed step later: Runge and Kutta's fourth order, or an exponential rule in stiff rows.
+
+        Of a dry friction these are the few in which it holds; where most are stiff, or which is not known, all take it.
+        """
+        stiff = self.stiff
+        if stiff is None:
             return self._of_rows(self._step, t, x, memory, u)
+        if self._many or self._mostly_stiff or stiff.numel() != len(x):
+            return self._stiff_step(t, x, memory, u)
+        out, some = self._of_rows(self._step, t, x, memory, u), _rows(stiff)
+        out[some] = self._stiff_step(t[some], x[some], memory[some], u[some])
+        return out
+
+    def _stiff_step(self, t: Tensor, x: Tensor, memory: Tensor, u: Tensor) -> Tensor:
         late = t + 0.5 * self.logged_h
         return self._project(x + stiff_change(lambda z: self.rate(late, z, memory, u), x, self.h))
+
+    @property
+    def _mostly_stiff(self) -> bool:
+        return self.stiff is not None and float(self.stiff.double().mean()) > MOSTLY
 
     def _of_rows(self, function: Callable[..., Tensor], t: Tensor, x: Tensor, *rows: Tensor) -> Tensor:
         """A function of rows at the values in use, which may differ from stretch to stretch."""
@@ -320,41 +336,40 @@ class StateSpace:
         With A and B those of the rate in the middle of the step, exp(h A) and h (1 + h A / 2 + ...) B: to fourth order,
         or as they are of a machine that is stiff.
         """
+        self.stiff = self._stiff_rows(x)
         after = self.after(x)
-        if self._is_stiff(x, after) != self.stiff:
-            self.stiff = not self.stiff
-            after = self.after(x)
         middle = _rows(self.midway(x, after))
         t, memory, u = self._in_the_middle()
-        slopes = x.new_empty(len(middle), self.ne, self.n)
-        eye = torch.eye(self.ne, dtype=x.dtype)
+        slopes, eye = x.new_empty(len(middle), self.ne, self.n), torch.eye(self.ne, dtype=x.dtype)
         together = max(1, _AT_ONCE // self.chunks.count) * self.chunks.count
         for first in range(0, len(middle), together):
             rows = slice(first, first + together)
             here = t[rows], memory[rows], u[rows]
             pushed = self._pushed_by(middle[rows], *here, range(self.n))  # h A, h B
             a = pushed[..., : self.ne]
-            if self.stiff:
-                mean, _ = exponentials(a)
-            else:
-                mean = torch.baddbmm(eye, a, eye + 0.25 * a, alpha=1.0 / 3.0)
-                mean = torch.baddbmm(eye, a, mean, alpha=0.5)
-            slopes[rows] = mean @ pushed
+            slopes[rows] = self._mean(a, rows) @ pushed
         slopes[..., : self.ne] += eye
         return slopes.view(*x.shape[:2], self.ne, self.n), after
 
-    def _is_stiff(self, x: Tensor, after: Tensor) -> bool:
-        """Whether something settles in hardly more than a step, at states (T, C, nx) in some rows.
+    def _mean(self, a: Tensor, rows: slice) -> Tensor:
+        """(exp(a) - 1) / a of slopes times a step (N, ne, ne): to fourth order, or as it is where rows are stiff."""
+        eye = torch.eye(self.ne, dtype=a.dtype)
+        mean = torch.baddbmm(eye, a, torch.baddbmm(eye, a, eye + 0.25 * a, alpha=1.0 / 3.0), alpha=0.5)
+        if self.stiff is not None:
+            some = _rows(self.stiff)[rows]
+            mean[some] = exponentials(a[some])[0]
+        return mean
 
-        A machine that knows its attitude is never taken for one: what settles there is memory of its motors.
+    def _stiff_rows(self, x: Tensor) -> Tensor | None:
+        """Rows (T, C) in which something settles in hardly more than a step, at states (T, C, nx); None: in none.
+
+        A machine that knows its attitude is never taken for stiff: what settles there is memory of its motors.
         """
         if self.vector.system.quaternion is not None:
-            return False
-        if not bool(torch.isfinite(after).all()):
-            return True
-        every = slice(None, None, max(1, len(x) * self.chunks.count // _SOME))
-        t, memory, u = (_rows(part[every]) for part in (self.chunks.t, self.memory, self.chunks.u))
-        return is_stiff(self._pushed_by(_rows(x[every]), t, memory, u, range(self.ne)))
+            return None
+        t, memory, u = map(_rows, (self.chunks.t, self.memory, self.chunks.u))
+        found = stiff_rows(self._pushed_by(_rows(x), t, memory, u, range(self.ne)))
+        return found.view(x.shape[:2]) if bool(found.any()) else None
 
     def _pushed_by(self, x: Tensor, t: Tensor, memory: Tensor, u: Tensor, which: Sequence[int]) -> Tensor:
         """What a step does (N, ne, k) per error of the state, or per force of a disturbance, numbered behind."""
@@ -408,10 +423,11 @@ class StateSpace:
             here: Rates of this physics there (T C, nx), where they are known.
             carry: `carried` from there, of physics that are stiff: enough for a candidate, and ten times as fast.
         """
-        if self.stiff and carry is None:
+        if carry is None and self._mostly_stiff:
             return self._stiff_columns(x, which)
         v = self.vector
         there = self.midway(x, after) if middle is None else middle
+        carry = self.carried(there) if carry is None else carry
         middle = _rows(there)
         base = _error_rate(v.system, middle, self.rates(there) if here is None else here)
         t, memory, u = self._in_the_middle()
@@ -436,10 +452,10 @@ class StateSpace:
 
     def carried(self, middle: Tensor) -> Tensor | None:
         """What becomes of a rate in the middle of the step (T, C, nx) at its end (T C, ne, ne), where that is stiff."""
-        if not self.stiff:
+        if self.stiff is None:
             return None
         t, memory, u = self._in_the_middle()
-        return exponentials(self._pushed_by(_rows(middle), t, memory, u, range(self.ne)))[0]
+        return self._mean(self._pushed_by(_rows(middle), t, memory, u, range(self.ne)), slice(None))
 
     def _stiff_columns(self, x: Tensor, which: Sequence[int]) -> Tensor:
         """See `columns`: by differences of steps.
@@ -461,7 +477,7 @@ class StateSpace:
 
     def pushed(self, x: Tensor, slopes: Tensor, after: Tensor | None = None) -> Tensor:
         """What unit forces on the disturbed ports do to a step (T, C, ne, nd), not yet `passed`; see `columns`."""
-        if self.stiff:
+        if self.stiff is not None:
             return slopes[..., self.ne :]
         t, memory, u = self._in_the_middle()
         middle = _rows(self.midway(x, after))

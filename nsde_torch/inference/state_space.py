@@ -257,7 +257,7 @@ class StateSpace:
         return self._of_rows(partial(self._rate, push or {}), t, x, memory, u)
 
     def step(self, t: Tensor, x: Tensor, memory: Tensor, u: Tensor) -> Tensor:
-        """States (N, nx) an undisturbed step later: Runge and Kutta's fourth order, or an exponential rule in stiff rows.
+        """States (N, nx) an undisturbed step later: Runge and Kutta's fourth order, in stiff rows an exponential rule.
 
         Of a dry friction these are the few in which it holds; where most are stiff, or which is not known, all take it.
         """

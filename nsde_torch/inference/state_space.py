@@ -363,12 +363,14 @@ class StateSpace:
     def _stiff_rows(self, x: Tensor) -> Tensor | None:
         """Rows (T, C) in which something settles in hardly more than a step, at states (T, C, nx); None: in none.
 
-        A machine that knows its attitude is never taken for stiff: what settles there is memory of its motors.
+        By its own states: what an effect remembers may swing faster, and candidates that do took a cart's diagnosis
+        15 s more. A machine that knows its attitude is never taken for stiff: what settles there is memory of motors.
         """
         if self.vector.system.quaternion is not None:
             return None
         t, memory, u = map(_rows, (self.chunks.t, self.memory, self.chunks.u))
-        found = stiff_rows(self._pushed_by(_rows(x), t, memory, u, range(self.ne)))
+        own = self.vector.system.nx
+        found = stiff_rows(self._pushed_by(_rows(x), t, memory, u, range(own))[:, :own])
         return found.view(x.shape[:2]) if bool(found.any()) else None
 
     def _pushed_by(self, x: Tensor, t: Tensor, memory: Tensor, u: Tensor, which: Sequence[int]) -> Tensor:

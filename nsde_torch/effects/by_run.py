@@ -15,13 +15,12 @@ import re
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
-from math import pi
 from typing import Any, ClassVar, final
 
 import torch
 from torch import Tensor
 
-from nsde_torch.effects.base import Effect, Parameter, Port, elapsed
+from nsde_torch.effects.base import Effect, Parameter, Port
 from nsde_torch.effects.forces import ConstantForce, PeriodicForce, PositionBias
 from nsde_torch.effects.multirotor_forces import ConstantWorldForce
 
@@ -149,8 +148,7 @@ class RunPeriodicForce(ByRun, PeriodicForce):
     )
 
     def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        angle = (2.0 * pi * torch.remainder(self.value("frequency") * elapsed(t, x), 1.0)).to(x.dtype)
-        angle = torch.as_tensor(angle).reshape(-1, 1)
+        angle = self.angle(t, x).reshape(-1, 1)
         return (self.of_run(u) * torch.cat((torch.sin(angle), torch.cos(angle)), 1)).sum(1, keepdim=True)
 
 

@@ -105,9 +105,12 @@ class PeriodicForce(Law):
     sentence = "A force on {it} swings {frequency}, whatever the machine does (sine {sine}, cosine {cosine})."
     separate = "record without input: what swings on with the clock is not the machine"
 
+    def angle(self, t: float | Tensor, x: Tensor) -> Tensor:
+        """Angle at a time [rad], in the precision of states; turns in that of the clock: a log may start at 1e9 s."""
+        return (2.0 * pi * torch.remainder(self.value("frequency") * elapsed(t, x), 1.0)).to(x.dtype)
+
     def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        # turns in the precision of the clock: a log may start at 1e9 s
-        angle = (2.0 * pi * torch.remainder(self.value("frequency") * elapsed(t, x), 1.0)).to(x.dtype)
+        angle = self.angle(t, x)
         term = self.value("sine") * torch.sin(angle) + self.value("cosine") * torch.cos(angle)
         return term.reshape(-1, 1).expand(x.shape[0], 1)
 

@@ -363,7 +363,7 @@ class StateSpace:
     def _stiff_rows(self, x: Tensor) -> Tensor | None:
         """Rows (T, C) in which something settles in hardly more than a step, at states (T, C, nx); None: in none.
 
-        By its own states: what an effect remembers may swing faster, and candidates that do took a cart's diagnosis
+        By its own states: what an effect remembers may oscillate faster, and candidates that do took a cart's diagnosis
         15 s more. A machine that knows its attitude is never taken for stiff: what settles there is memory of motors.
         """
         if self.vector.system.quaternion is not None:

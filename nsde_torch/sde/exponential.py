@@ -86,8 +86,8 @@ def stiff_change(
     one, three = exponentials(a, None if slopes is None else _DOUBLED)
     before = h * rate(x)
     moved = _times(one, before)
-    bent = h * rate(x + moved) - before - _times(a, moved)
-    return moved + 2.0 * _times(three, bent)
+    remainder = h * rate(x + moved) - before - _times(a, moved)
+    return moved + 2.0 * _times(three, remainder)
 
 
 def _times(a: Tensor, x: Tensor) -> Tensor:

@@ -268,7 +268,7 @@ class Physics:
         return self.turn(change, self.attitude)
 
     def _is_stiff(self, theta: Tensor) -> bool:
-        """Whether something settles in hardly more than a step under the values in use; see `inference.stiff`."""
+        """Whether something settles in hardly more than a step under the values in use; see `sde.exponential`."""
         if self.vector.system.quaternion is not None:
             return False
         if self._stiff is None or not torch.equal(self._stiff[0], theta):

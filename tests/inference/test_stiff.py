@@ -35,13 +35,13 @@ def test_a_step_is_exact_for_what_is_linear_and_of_third_order_otherwise() -> No
     change = stiff_change(lambda z: z @ rate.T, x, 0.05)
     np.testing.assert_allclose((x + change)[0], expm(0.05 * rate.numpy()) @ x[0].numpy(), rtol=1e-6)
 
-    def bent(z: Tensor) -> Tensor:
+    def nonlinear(z: Tensor) -> Tensor:
         return torch.stack((z[:, 1], -z[:, 0].sin() - 50.0 * z[:, 1] * (1.0 + z[:, 0] ** 2)), 1)
 
     def after(parts: int) -> Tensor:
         z = x
         for _ in range(parts):
-            z = z + stiff_change(bent, z, 0.4 / parts)
+            z = z + stiff_change(nonlinear, z, 0.4 / parts)
         return z
 
     exact = after(640)

@@ -22,7 +22,7 @@ from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import replace
 from itertools import combinations, product
-from math import log
+from math import isfinite, log
 
 import numpy as np
 import torch
@@ -282,6 +282,10 @@ class LawSearch:
         Where it is known how many nats are left to be explained, laws are tried of all variables; else functions say
         that, and of which ones. They took 20 s at each of a dozen steps of a hydraulic cylinder.
         """
+        if not isfinite(
+            place.best.likelihood
+        ):  # the filter has diverged: of a ball on a beam a law began at no number
+            return None
         search, space, wanted = self._search, place.at.of.space, dict[int, list[str]]()
         functions = self.functions(place) if left is None else None
         nats = {} if functions is None else functions.nats

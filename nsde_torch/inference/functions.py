@@ -341,7 +341,7 @@ class _View:
         theta = 1 + self.base.shape[-1]
         own = _slices(theta, [force.shape[-1] for force in each])
         held = grams(*self._of(levels), self.base, forces=_on_ports(groups, each))
-        known = _pseudo_inverse(held.total, theta)
+        known = inverted(held.total[1:theta, 1:theta])
         for g, s in zip(groups, own, strict=True):
             if g not in known_turns:
                 known_turns[g] = _new(held.total[s, s], held.total[1:theta, s], known)
@@ -393,7 +393,7 @@ class _View:
             whole = grams(*self._of(levels), self.base, forces=forces, apart=parted).blocks
             head = whole[:, :first, :first]
             pieces = [(whole[:, :first, s], whole[:, s, s]) for s in parted]
-        known = _pseudo_inverse(head.sum(0), theta)
+        known = inverted(head.sum(0)[1:theta, 1:theta])
         for k, (group, (across, inner)) in enumerate(zip(apart, pieces, strict=True)):
             if group not in turns:
                 turns[group] = turn = _new(inner.sum(0), across[:, 1:theta].sum(0), known)
@@ -670,7 +670,7 @@ class _Choice:
         """
         if not inner.shape[-1]:
             return np.ones(len(inner))
-        inverse = _pseudo_inverse(shared, len(shared))
+        inverse = inverted(shared[1:, 1:])
         taken = across[:, 1:].swapaxes(1, 2) @ inverse
         left = inner - taken @ across[:, 1:]
         pull = across[:, 0] - taken @ shared[1:, 0]
@@ -698,7 +698,7 @@ class _Choice:
             weights[s.start - 1 : s.stop - 1] = value
         total = fit.blocks.sum(0)
         first = slices[0].start - 1
-        joint = np.linalg.pinv(total[1:, 1:] + np.diag(weights), rcond=_ROUNDING, hermitian=True)
+        joint = inverted(total[1:, 1:] + np.diag(weights))
         whole = block_diag(*turns)
         covariance = whole @ joint[first:, first:] @ whole.T
         errors = np.sqrt(np.diag(joint)[:first].clip(0.0))
@@ -786,11 +786,6 @@ def _on_ports(groups: Sequence[BasisGroup], each: Sequence[torch.Tensor]) -> lis
 def _slices(first: int, widths: Sequence[int]) -> list[slice]:
     """Columns of groups of so many each, behind the first ones."""
     return [slice(a, b) for a, b in pairwise(np.cumsum([first, *widths]).tolist())]
-
-
-def _pseudo_inverse(total: Array, end: int) -> Array:
-    """Of the Gram matrix of columns from the second to the end."""
-    return np.asarray(np.linalg.pinv(total[1:end, 1:end], rcond=_ROUNDING, hermitian=True))
 
 
 def _columns(groups: Sequence[slice]) -> Labels:

@@ -426,15 +426,18 @@ def _made_of_logged_rows(ways: Sequence[Direction], runs: Sequence[Run], nu: int
     now, last, older = (np.concatenate([u[2 - lag : len(u) - lag] for _, u in parts]) for lag in (0, 1, 2))
     columns = np.column_stack((x, before, last, older, np.ones(len(x))))
     size = np.maximum(np.abs(columns).max(0), 1e-300)
+    basis, turn = np.linalg.qr(columns / size)  # once: the fits are then small matrices
     sensor = np.array([np.median([white(own[:, j]) for own, _ in parts]) for j in range(x.shape[1])])
     found = []
     for way in ways:
         y = now @ way.weights
-        left, gain = np.ones(len(y)), np.zeros(columns.shape[1])
+        left, along = np.ones(len(y)), np.zeros(columns.shape[1])
         for _ in range(_FITS):
-            weights = 1.0 / np.sqrt(np.maximum(np.abs(left), 1e-9 * max(float(np.abs(y).max()), 1e-300)))
-            gain = np.linalg.lstsq(weights[:, None] * columns / size, weights * y, rcond=None)[0] / size
-            left = y - columns @ gain
+            weights = 1.0 / np.maximum(np.abs(left), 1e-9 * max(float(np.abs(y).max()), 1e-300))
+            weighed = (weights / weights.max())[:, None] * basis
+            along = np.linalg.lstsq(weighed.T @ basis, weighed.T @ y, rcond=None)[0]
+            left = y - basis @ along
+        gain = np.linalg.lstsq(turn, along, rcond=None)[0] / size
         answer = float(np.linalg.norm(gain[: x.shape[1]] * sensor))
         found += [way.name] if 1.4826 * float(np.median(np.abs(left))) < _EXACT * answer else []
     return tuple(found)

@@ -14,6 +14,7 @@ from nsde_torch.inference import LogLikelihood
 from nsde_torch.sde import WithoutNoise, make_step
 from nsde_torch.sde.exponential import exponentials, stiff_change
 from tests.helpers.electric_motors import BACK, DRAG, PULL, CoilMotor, turns
+from tests.inference.springs import rubbing, small_runs, spring
 
 
 @pytest.mark.parametrize("size", [0.1, 1.0, 30.0])
@@ -81,3 +82,15 @@ def test_its_step_can_be_traced_as_an_export_asks_for() -> None:
         return step.advance(machine, 0.0, z, u, 0.01, None)
 
     torch.testing.assert_close(make_fx(advance)(z, u)(2.0 * z, u), advance(2.0 * z, u))
+
+
+def test_a_mass_that_turns_round_within_a_step_is_held_there() -> None:
+    machine = spring("coulomb_friction")
+    machine.effects[-1].set_value("size", 5.0)
+    machine.effects[-1].set_value("width", 0.004)
+    runs = small_runs(rubbing(0.3), 2, 20.0)
+    problem = LogLikelihood(machine, runs, 1.0)
+    _, about = problem.first(problem.vector.start)
+    held = about.slopes[..., 1, 1][problem.space.chunks.counted]
+    assert float(held.abs().max()) < 1.1  # what rubs amplifies nothing
+    assert float(held.min()) < 0.1

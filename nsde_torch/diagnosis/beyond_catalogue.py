@@ -316,7 +316,7 @@ class LawSearch:
         fitted: list[Term] = []
         needed: list[tuple[str, FittedPhysics]] = []
         for term, sizes in self._promising(place, library, levels):
-            there = search.fitted(joined(place.system, term.law, {**term.start, **sizes}), place)
+            there = search.tried(joined(place.system, term.law, {**term.start, **sizes}), place)
             fitted.append(term)
             search.chosen(term.law, fitted, library)
             if search.needed(term.law, there, place):

@@ -48,7 +48,7 @@ from nsde_torch.sysid.rough import log_share
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
 
-_NO_SMALLER = "the residual on runs left out is no smaller with what was found, and structure is left in it"
+_NO_SMALLER = "the residual on runs left out is no smaller with what was found"
 
 
 def selection(search: Search, joint: JointSelection | None, system: System) -> Outcome:
@@ -482,11 +482,13 @@ def refuted(outcome: Outcome, errors: HeldOut) -> Refuted | None:
 def judged_on_runs_left_out(outcome: Outcome, errors: HeldOut) -> Outcome:
     """The outcome, its effects provisional where runs left out speak against them.
 
-    Where structure is left and no residual there is smaller than without any effect, or all are larger, what was found
-    stands for something else, and the verdict is `unexplained`: a drive with play and a shaft that twists was a lag, an
+    Where no residual there is surely smaller than without any effect, none is sure: of a quadrotor that hops with
+    weights, by its own filtered states, a stop and an inertia were, with which it left 1.1 times as much; of 126
+    other diagnoses none was. Where structure is left besides, or all residuals are larger, what was found stands
+    for something else, and the verdict is `unexplained`: a drive with play and a shaft that twists was a lag, an
     arm with an elastic joint an input without strength, both surely. What acts on a channel whose residual grows is
-    provisional, whatever it explains elsewhere: of a boat whose rudder alone is late a lag of both inputs was sure, and
-    the residual along the keel half as large again.
+    provisional, whatever it explains elsewhere: of a boat whose rudder alone is late a lag of both inputs was sure,
+    and the residual along the keel half as large again.
     """
     # before any other reason: beside "something else is there too" it was printed that the log is likelier without it
     against = [replace(f, provisional=errors.against(f.name) or f.provisional) for f in outcome.found]
@@ -504,7 +506,7 @@ def judged_on_runs_left_out(outcome: Outcome, errors: HeldOut) -> Outcome:
     outcome = outcome.provisional(why_not)
     moved = {name for f in outcome.found for name in f.moves}
     structured, larger = any(d.channel in moved for d in outcome.structured), errors.larger(moved)
-    if errors.smaller(moved) or not (structured or larger):
+    if errors.smaller(moved):
         return outcome
-    why = LARGER if larger else _NO_SMALLER
-    return replace(outcome.provisional(lambda _: why), verdict="unexplained")
+    outcome = outcome.provisional(lambda _: LARGER if larger else _NO_SMALLER)
+    return replace(outcome, verdict="unexplained") if structured or larger else outcome

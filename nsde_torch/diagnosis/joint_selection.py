@@ -63,6 +63,9 @@ _ROWS = 6000  # that are asked first whether anything comes near an effect: the 
 # force and a friction first, 225 nats for 202 (spring 26 of the blind seed 5601)
 _BY_FAR = 0.25
 _NOTHING = 1e-5  # typical sizes of an amplitude that does nothing: starts are strictly inside the bounds
+# by which states may settle in a step beside an effect: beyond, it is a function of others at once, and only ratios of
+# its numbers are seen. The speed of a small car was one of the command and of the place, by 14,000 1/s at 40 Hz, surely
+_FASTEST = 2.8
 # that say which resonance is the likeliest: an arm of 9,000 that lacks a law had 40 s of hidden masses
 _OF_RESONANCE = 2500
 
@@ -265,6 +268,9 @@ class JointSearch:
             self.declared = self._begun_from(given)
         # without the outliers that were found beside the declared physics
         self._problem = self.declared.at.of
+        space = self._problem.space
+        space.use(self.declared.at.theta)
+        space.fastest = max(_FASTEST, 2.0 * space.speed(self.declared.at.x))
 
     def _begun_from(self, given: System) -> FittedPhysics:
         """The declared physics fitted from these values, where that is likelier than from those of least squares.
@@ -431,7 +437,7 @@ class JointSearch:
             self._places[added] = made
         return self._places[added]
 
-    def _tried(self, system: System, like: FittedPhysics | None, wanted: float = -inf) -> FittedPhysics:
+    def tried(self, system: System, like: FittedPhysics | None, wanted: float = -inf) -> FittedPhysics:
         """As `fitted`, with a candidate; without any likelihood where its slopes are no numbers.
 
         The end of travel of an arm went 2,600 rad away. Physics that others are compared with has to have a likelihood.
@@ -523,11 +529,11 @@ class JointSearch:
         most: FittedPhysics | None = None
         for system in first:
             check_time()
-            there = few._tried(system, None, -inf if most is None else most.best.likelihood)
+            there = few.tried(system, None, -inf if most is None else most.best.likelihood)
             most = there if most is None or there.best.likelihood > most.best.likelihood else most
         place = best or self.declared
         least = place.best.likelihood + self.search.decisions.alike_nats
-        there = place if most is None else self._tried(most.system, None, least)
+        there = place if most is None else self.tried(most.system, None, least)
         better = there.best.likelihood > least and self._surely_brings(there, self.declared)
         return there if better else best
 
@@ -577,7 +583,7 @@ class JointSearch:
             if few is not None and not few.wins_here(proposal.system, place):
                 continue
             least = place.best.likelihood + self.search.decisions.alike_nats
-            there = self._from_each(proposal.name, place, self._tried(proposal.system, place, least))
+            there = self._from_each(proposal.name, place, self.tried(proposal.system, place, least))
             if there.best.likelihood > least and self._surely_brings(there, place, last):
                 best = last = there
         return best
@@ -611,17 +617,17 @@ class JointSearch:
         least = here.best.likelihood + (0.0 if few is self else self.search.decisions.alike_nats)
         for value in values:
             check_time()
-            there = few._tried(joined(place.system, name, dict(value)), here)
+            there = few.tried(joined(place.system, name, dict(value)), here)
             if there.best.likelihood > least:
                 least = there.best.likelihood
-                tried = there if few is self else self._tried(there.system, place)
+                tried = there if few is self else self.tried(there.system, place)
                 best = max(best, tried, key=lambda f: f.best.likelihood)
         return best if best is before else self._settled(best)
 
     def _settled(self, place: FittedPhysics) -> FittedPhysics:
         """Physics fitted again from where their fit ended, until that is no likelier."""
         while isfinite(place.best.likelihood):
-            again = self._tried(place.system, place)
+            again = self.tried(place.system, place)
             if again.best.likelihood <= place.best.likelihood + self.search.decisions.alike_nats:
                 break
             place = again
@@ -633,14 +639,14 @@ class JointSearch:
         Fits that have no way to more nats than some end early.
         """
         wanted = place.best.likelihood + max(least, self.search.decisions.alike_nats)
-        there = self._tried(proposal.system, place, wanted)
+        there = self.tried(proposal.system, place, wanted)
         if _seen_once_fitted(proposal.name):
             return self._from_each(proposal.name, place, there)
         if there.best.likelihood > place.best.likelihood + _RISES * proposal.nats:
             return there
         # an undeclared delay makes a gain of 0, beside which a step of the delay goes anywhere
         # (test_a_delay_is_selected_whose_lack_hides_the_gain_of_the_input)
-        other = self._tried(proposal.begun, place, wanted)
+        other = self.tried(proposal.begun, place, wanted)
         return max(there, other, key=lambda f: f.best.likelihood)
 
     def _surely_brings(
@@ -654,7 +660,7 @@ class JointSearch:
         there brought 56 nats.
         """
         new = self.added(there.system) - self.added(place.system)
-        nearer = self._tried(there.system.without_effects(*new), there)
+        nearer = self.tried(there.system.without_effects(*new), there)
         if {*place.system.effect_names} == {*nearer.system.effect_names}:
             place = max(place, nearer, key=lambda f: f.best.likelihood)
         return all(self.needed(n, there, place) for n in new) and _surely_more(
@@ -728,7 +734,7 @@ class JointSearch:
         place = self._here(whole)
         further = len(ParameterVector(begun)) - len(place.best.vector)
         least = place.best.likelihood + 0.5 * max(further, 1) + self.search.decisions.alike_nats
-        return self._tried(begun, place, least).best.likelihood > least
+        return self.tried(begun, place, least).best.likelihood > least
 
     def instead_here(self, name: str, whole: FittedPhysics) -> Instead:
         """What comes near in the place of an effect in these few rows; see `needed_here`."""
@@ -795,10 +801,10 @@ class JointSearch:
                 continue
             # from the noise levels that its step was made at: from those beside the effect, of which one was a tenth, a
             # dry friction ended 24,000 nats below (tests/diagnosis/test_named.py)
-            there = self._tried(system, without, least)
+            there = self.tried(system, without, least)
             if rival in contained and there.best.likelihood < least:
                 # without it the physics may lie where no step leads back from: two equal lags up and down were no lag
-                there = self._tried(simplified(place.system, name, rival), place, least)
+                there = self.tried(simplified(place.system, name, rival), place, least)
             gained = _compared(self.search, name, rival, place, there)
             if gained >= 0 and (fewer := self._without_needless(there, rival)) is not there:
                 there, gained = fewer, _compared(self.search, name, rival, place, fewer)
@@ -838,11 +844,11 @@ class JointSearch:
         """
         simpler, out = effect_class(name).includes, []
         for part in (p for p in self.look(without) if p.name in simpler):
-            half = self._tried(part.system, without)
+            half = self.tried(part.system, without)
             others = (p for p in self.look(half) if p.nats > 0 and p.name != name)
             rest = next((p for p in others if part.name not in effect_class(p.name).includes), None)
             if rest is not None:
-                there = self._tried(rest.system, half)
+                there = self.tried(rest.system, half)
                 if _compared(self.search, name, rest.name, place, there) >= 0:
                     out.append(part.name + AND + rest.name)
         return out
@@ -881,7 +887,7 @@ class JointSearch:
         least = self._as_likely(place, without)
         for _, term in sorted(rivals, key=lambda r: -r[0])[:_LAWS]:
             system = joined(without.system, term.law, term.start)
-            there = self._tried(system, without, least)
+            there = self.tried(system, without, least)
             difference = there.at.blocks - place.at.blocks
             fewer = len(place.best.vector) - len(there.best.vector)
             gained = float(difference.sum()) + 0.5 * fewer * log(len(difference))

@@ -15,7 +15,7 @@ from nsde_torch.data import DataSet
 from nsde_torch.diagnosis.beyond_catalogue import zero_of_an_input
 from nsde_torch.diagnosis.candidates import effect_of, values_of, without_motion
 from nsde_torch.diagnosis.ceiling import Ceiling
-from nsde_torch.diagnosis.cross_validation import LARGER, HeldOut
+from nsde_torch.diagnosis.cross_validation import HeldOut
 from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.effect_importance import (
     BY_RESIDUAL,
@@ -290,6 +290,7 @@ def content(found: Diagnosis) -> Content:
             left.shapes,
             _functions_of(functions["rows"]),
             moments=found.moments,
+            larger=errors.larger({name for f in o.found for name in f.moves}),
             channels=left.channels,
         ),
         "warnings": _warnings(found),
@@ -357,13 +358,14 @@ def summary(
     *,
     moments: Moments,
     smoothed: bool = False,
+    larger: bool = False,
     channels: Sequence[ChannelResidual] = (),
 ) -> str:
     """The verdict in one or two sentences.
 
     `faults` are names of those of the recording chain, `shapes` what the residual still depends on; `functions` says
     what functions that explain more are of, where no test of structure says what is missing; `channels` what is left;
-    `smoothed` whether states were smoothed before they were logged.
+    `smoothed` whether states were smoothed before they were logged, `larger` whether the residual on runs left out is.
     """
     added, provisional = [*faults, *shown.few, *shown.rest], {f.name for f in outcome.found if f.provisional}
     moved, left = {name for f in outcome.found for name in f.moves}, outcome.structured
@@ -379,7 +381,7 @@ def summary(
         "hidden": outcome.test.hidden if outcome.test.closed else {},
         "known": outcome.test.most_known,
         "smoothed": smoothed,
-        "larger": any(f.provisional == LARGER for f in outcome.found),
+        "larger": larger,
         "blind": list(
             dict.fromkeys(n.effect for n in _not_shown(outcome) if n.smallest is None and not n.declared)
         ),

@@ -241,7 +241,7 @@ class LogLikelihood:
         out = copy.copy(self)
         out._set(system, self.space.steps, self.space.chunks, self.space.disturbances, estimates)
         out.space.measured = self.space.measured  # without the same outliers
-        out.space.stiff = self.space.stiff
+        out.space.stiff, out.space.fastest = self.space.stiff, self.space.fastest
         return out
 
     def part(self, rows: int) -> Tensor | None:

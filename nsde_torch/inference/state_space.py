@@ -10,6 +10,7 @@ import copy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from math import isfinite
 from typing import final
 
 import torch
@@ -20,7 +21,7 @@ from nsde_torch.columns import join_columns, split_columns
 from nsde_torch.effects import Port
 from nsde_torch.inference.steps import Chunks, Steps, low_passed, memory_along, memory_as_measured
 from nsde_torch.rotation import body_rates, turned
-from nsde_torch.sde.exponential import MOSTLY, exponentials, stiff_change, stiff_rows
+from nsde_torch.sde.exponential import MOSTLY, exponentials, largest, stiff_change, stiff_rows
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
 
@@ -145,6 +146,7 @@ class StateSpace:
         self.least_sensor = torch.full((len(self.observed),), -torch.inf, dtype=torch.float64)
         self.measured = None if max(self.every) == 1 else self.logged
         self.stiff: Tensor | None = None  # rows that are stiff (T, C), as the last linearisation found them
+        self.fastest = torch.inf  # of `speed`, beyond which physics has no likelihood
 
     @property
     def logged(self) -> Tensor:
@@ -344,6 +346,8 @@ class StateSpace:
         parts = [slice(first, first + together) for first in range(0, len(middle), together)]
         for rows in parts:  # h A, h B
             slopes[rows] = self._pushed_by(middle[rows], t[rows], memory[rows], u[rows], range(self.n))
+        if isfinite(self.fastest) and self._mostly_stiff and not self._median(slopes) <= self.fastest:
+            slopes.fill_(torch.nan)
         if (later := self._stiff_later(slopes)) is not None:
             after = self.after(x)
             some = slice(None) if self._many else later
@@ -353,6 +357,17 @@ class StateSpace:
             slopes[rows] = self._mean(slopes[rows][..., : self.ne], rows) @ slopes[rows]
         slopes[..., : self.ne] += eye
         return slopes.view(*x.shape[:2], self.ne, self.n), after
+
+    def speed(self, x: Tensor) -> float:
+        """How fast the machine's own states settle in a step at states (T, C, nx), of the median row; see `largest`."""
+        if self.vector.system.quaternion is not None:
+            return 0.0
+        t, memory, u = map(_rows, (self.chunks.t, self.memory, self.chunks.u))
+        return self._median(self._pushed_by(_rows(x), t, memory, u, range(self.vector.system.nx)))
+
+    def _median(self, slopes: Tensor) -> float:
+        own = self.vector.system.nx
+        return float(largest(slopes[:, :own, :own]).median())
 
     def _stiff_later(self, slopes: Tensor) -> Tensor | None:
         """Further rows that are stiff by slopes in the middle of their steps (T C, ne, n); None: none.

@@ -26,11 +26,14 @@ _DOUBLED = 8  # times a model doubles, as what is traced has no numbers: enough 
 _TERMS = 10  # of the series of phi_3, of matrices of a norm of at most 1/2: to 1e-12
 
 
+def largest(a: Tensor) -> Tensor:
+    """About the largest eigenvalue (N,) of slopes of rates, times a step (N, n, n); inf of what are no numbers."""
+    return (torch.linalg.matrix_power(a, 8).abs().sum(-1).amax(-1) ** 0.125).nan_to_num(torch.inf)
+
+
 def stiff_rows(a: Tensor) -> Tensor:
     """Whether slopes of rates, times a step (N, n, n), are too large for a rule that takes them for small (N,)."""
-    # about the largest eigenvalue, to the eighth power
-    largest = torch.linalg.matrix_power(a, 8).abs().sum(-1).amax(-1)
-    return ~(largest <= _STIFF**8)
+    return largest(a) > _STIFF
 
 
 def is_stiff(a: Tensor) -> bool:

@@ -53,9 +53,10 @@ _TOP, _NOTHING = 0.35, 1e-6
 """Rows^-1 above which a spectrum may be white noise, and the share of an input's variance below which that is none."""
 _FIRST, _ALIKE = 1.0 / 64.0, 2.0
 """Share of that which is tried first, and ratio of variances up to which inputs are taken for equally noisy."""
-_LAGS_S, _DELAYS, _GAPS, _DEAD, _WITHIN = (0.02, 0.05, 0.1), (1, 3), (0.1, 0.3, 1.0), (0.2,), (0.8, 0.95)
-"""What nobody may have declared: lags of first order [s], delays [rows], play and dead bands [standard deviations of
-the input], and limits [share of the rows within]."""
+_LAGS, _DELAYS, _GAPS, _DEAD, _WITHIN = (1, 3, 10, 30), (1, 3, 10), (0.1, 0.3, 1.0), (0.2,), (0.8, 0.95)
+"""What nobody may have declared: lags of first order and delays [rows], play and dead bands [standard deviations of the
+input], and limits [share of the rows within]. Lags of 0.02 to 0.1 s are none of a heat exchanger that is logged every
+second: what its flow does there was noise of 0.15 kg/s."""
 _UNFIT = ConfigError, DataError, NonFiniteError, np.linalg.LinAlgError
 
 
@@ -108,7 +109,7 @@ def as_they_act(data: DataSet, system: System, fitted: Sequence[Run]) -> DataSet
     left: list[_Way] = [_without_white_noise, _with_means_over_steps]
     while left:  # the likelier first, and the other where there is more to it
         fits = _Fits(system, some, clock)
-        found = [(way, reading) for way in left if (reading := way(fits, some, system, data.dt * clock))]
+        found = [(way, reading) for way in left if (reading := way(fits, some, system))]
         if not found:
             break
         taken, best = max(found, key=lambda one: one[1].nats)
@@ -167,10 +168,10 @@ class _Fits:
         return best
 
 
-_Way = Callable[["_Fits", Sequence[Run], System, float], _Reading | None]
+_Way = Callable[["_Fits", Sequence[Run], System], _Reading | None]
 
 
-def _with_means_over_steps(fits: _Fits, runs: Sequence[Run], system: System, dt: float) -> _Reading | None:
+def _with_means_over_steps(fits: _Fits, runs: Sequence[Run], system: System) -> _Reading | None:
     """Inputs that move between rows.
 
     Of two values a mean holds less of their noise, that with the row before too; and what nobody declared may look like
@@ -191,7 +192,7 @@ def _with_means_over_steps(fits: _Fits, runs: Sequence[Run], system: System, dt:
     return _Reading(nats, means, _between_rows_found(system, nats))
 
 
-def _without_white_noise(fits: _Fits, runs: Sequence[Run], system: System, dt: float) -> _Reading | None:
+def _without_white_noise(fits: _Fits, runs: Sequence[Run], system: System) -> _Reading | None:
     """Inputs as they are to be expected, at the noise that is likeliest."""
     nu, noise = system.nu, _white_noise(runs, system.nu)
     share = np.full(nu, _FIRST)
@@ -210,7 +211,7 @@ def _without_white_noise(fits: _Fits, runs: Sequence[Run], system: System, dt: f
     before = fits.likelier(noise.filtered(share, runs))
     read = partial(noise.filtered if before > nats else noise.smoothed, share)
     nats = max(before, nats)
-    if not nats > NATS or _of_an_effect(fits, runs, nats, dt, nu):
+    if not nats > NATS or _of_an_effect(fits, runs, nats, nu):
         return None
     return _Reading(nats, read, _white_noise_found(system, np.sqrt(noise.variances(share)), nats))
 
@@ -287,7 +288,7 @@ def _white_noise(runs: Sequence[Run], nu: int) -> _WhiteNoise | None:
     return _WhiteNoise(power, np.asarray(floor), weights, np.maximum(np.array(errors), 1e-300))
 
 
-def _of_an_effect(fits: _Fits, runs: Sequence[Run], nats: float, dt: float, nu: int) -> bool:
+def _of_an_effect(fits: _Fits, runs: Sequence[Run], nats: float, nu: int) -> bool:
     """Whether what nobody declared of the actuators explains as much as noise of the inputs does, or nearly.
 
     Lags and delays take from commands what is fast, as a filter does, play and a dead band what is small, a limit what
@@ -296,7 +297,7 @@ def _of_an_effect(fits: _Fits, runs: Sequence[Run], nats: float, dt: float, nu: 
     every = np.concatenate([run.u[a:b, :nu] for run in runs for a, b in run.segments])
     size, none = every.std(0), np.zeros(nu)
     others: list[Callable[[Sequence[Run]], list[Run]]] = [
-        *(partial(lagged, nu=nu, rows=lag / dt) for lag in _LAGS_S),
+        *(partial(lagged, nu=nu, rows=rows) for rows in _LAGS),
         *(partial(later, nu=nu, rows=-rows) for rows in _DELAYS),
         *(partial(with_play, gap=part * size) for part in _GAPS),
         *(partial(limited, dead=part * size, most=np.full(nu, np.inf)) for part in _DEAD),

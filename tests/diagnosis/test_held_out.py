@@ -148,7 +148,11 @@ def test_what_makes_no_residual_smaller_where_structure_is_left_explains_nothing
     assert judged_on_runs_left_out(left, errors) == left, "its residual is smaller"
     none = errors.content | {"residual": {channel: {"low_90": -0.01, "high_90": 0.01}}}
     same = replace(errors, content=none)
-    assert judged_on_runs_left_out(outcome, same) == outcome, "nothing is left"
+    judged = judged_on_runs_left_out(outcome, same)
+    assert judged.verdict == "effect_found", "nothing is left"
+    assert "no smaller with what was found" in judged.found[0].provisional
+    unmeasured = replace(same, inferred=(channel,))
+    assert judged_on_runs_left_out(outcome, unmeasured) == outcome, "no sensor measured the rate"
     judged = judged_on_runs_left_out(left, same)
     assert judged.verdict == "unexplained"
     assert "no smaller with what was found" in judged.found[0].provisional

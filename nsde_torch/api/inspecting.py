@@ -232,7 +232,9 @@ def _native(path: Path, kind: str, machine: System | None, *, physics: bool) -> 
     files = [path] if path.is_file() else files_of(path, suffixes)
     if not files:
         raise DataError(f"`path`: {path} holds no file of the kind {kind!r} ({', '.join(suffixes)}).")
-    log = open_ulog(files[0]) if kind == "ulog" else LogFile(files[0].stem, files[0], "table").open()
+    # the package's own tables are in seconds, whatever the steps look like: a heater every 2 s was at 500 Hz
+    seconds = ClockOf(unit="s") if kind == "csv" else None
+    log = open_ulog(files[0]) if kind == "ulog" else LogFile(files[0].stem, files[0], "table").open(seconds)
     machine = machine or system_options(_px4_frame(log) if kind == "ulog" else guess_system(log)).make()
     out = Inspection(str(path), kind, [p.stem for p in files], rows_of(log), machine.name, native=True)
     try:

@@ -1,4 +1,4 @@
-"""Declared physics by plain least squares on means over 0.15 s: slow, robust, and with no model of the noise.
+"""Declared physics by plain least squares on means over 0.15 s, or five rows: slow, robust, no model of the noise.
 
     sum over a box of (x_{k+1} - x_k) = sum over it of int f(x, u; theta) dt + noise
 
@@ -27,6 +27,9 @@ from nsde_torch.systems.parameters import ParameterVector
 from nsde_torch.texts import rendered
 
 MEANS_S = 0.15  # length of the boxes [s]
+# or rows: of the changes from row to row of a heat exchanger that is logged every second most is noise, and its
+# physics seemed to explain nothing
+_FEWEST = 5
 ITERATIONS = 10
 
 
@@ -39,12 +42,12 @@ def rough_fit(
     levels: bool = True,
     start: Array | None = None,
 ) -> Regression | None:
-    """The declared physics fitted to means over `MEANS_S`; None where that cannot be done.
+    """The declared physics fitted to means over `MEANS_S`, or five rows; None where that cannot be done.
 
     Starts from theta (k,), or the system's values. With `levels`, steady pushes are left out: the mean of each channel
     over each run.
     """
-    box = max(1, round(MEANS_S / (runs[0].dt * clock)))
+    box = max(_FEWEST, round(MEANS_S / (runs[0].dt * clock)))
     vector = ParameterVector(copy.deepcopy(system))
     try:
         steps = steps_of(vector.system, runs, clock=clock, shortest=box, differences=0)

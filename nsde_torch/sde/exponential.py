@@ -21,9 +21,8 @@ from nsde_torch.sde.step import Step
 _STIFF = 0.7
 MOSTLY = 0.5  # share of the rows
 _SMALL = 1e-6  # differences of states
-_MOST = 14  # doublings: of norms beyond 8,000 nobody asks, as of a friction that ends at no speed at all
 _DOUBLED = 8  # times a model doubles, as what is traced has no numbers: enough for norms of 128
-_TERMS = 10  # of the series of phi_3, of matrices of a norm of at most 1/2: to 1e-12
+_TERMS = 10  # of the series, as `matrix_functions.TERMS`
 
 
 def largest(a: Tensor) -> Tensor:
@@ -41,20 +40,20 @@ def is_stiff(a: Tensor) -> bool:
     return float(stiff_rows(a).double().mean()) > MOSTLY
 
 
-def exponentials(a: Tensor, doubled: int | None = None) -> tuple[Tensor, Tensor]:
-    """The functions phi_1 and phi_3 of matrices (N, n, n): phi_1(a) = a^-1 (exp(a) - 1).
+def exponentials(a: Tensor, doubled: int | None = None) -> tuple[Tensor, Tensor, Tensor]:
+    """The functions phi_1, phi_2 and phi_3 of matrices (N, n, n): phi_1(a) = a^-1 (exp(a) - 1).
 
     By the series at a part of them of 2^-doubled, doubled (Higham, Functions of Matrices (2008), chapter 10); None: as
-    small a part as each asks for, and no numbers of those that ask for less than 2^-_MOST.
+    small a part as each asks for, in double precision, and no numbers of those that ask for less than 2^-14.
     """
-    eye = torch.eye(a.shape[-1], dtype=a.dtype, device=a.device)
     if doubled is None:
-        each = torch.ceil(torch.log2(2.0 * a.abs().sum(-1).amax(-1))).nan_to_num(torch.inf).clamp_min(0.0)
-        one, three = torch.full_like(a, torch.nan), torch.full_like(a, torch.nan)
-        for some in torch.unique(each[each <= _MOST]).tolist():
-            rows = each == some
-            one[rows], three[rows] = exponentials(a[rows], int(some))
-        return one, three
+        from nsde_torch.sde.matrix_functions import phi
+
+        whole = a.detach().double().contiguous()
+        one, two, three = (torch.empty_like(whole) for _ in range(3))
+        phi(*(values.numpy() for values in (whole, one, two, three)))
+        return one, two, three
+    eye = torch.eye(a.shape[-1], dtype=a.dtype, device=a.device)
     part, three = a / 2.0**doubled, torch.zeros_like(a)
     for k in reversed(range(_TERMS)):
         three = eye + part @ three / (k + 4.0)
@@ -66,7 +65,7 @@ def exponentials(a: Tensor, doubled: int | None = None) -> tuple[Tensor, Tensor]
         three = 0.125 * (one @ two + two + 2.0 * three)
         two = 0.25 * (one @ one + 2.0 * two)
         one, part = 0.5 * (one + whole @ one), 2.0 * part
-    return one, three
+    return one, two, three
 
 
 def jacobians(rate: Callable[[Tensor], Tensor], x: Tensor) -> Tensor:
@@ -86,7 +85,7 @@ def stiff_change(
 ) -> Tensor:
     """By how much states (N, n) change over a step of h [s], from their rates, and slopes of these (N, n, n)."""
     a = h * (jacobians(rate, x) if slopes is None else slopes)
-    one, three = exponentials(a, None if slopes is None else _DOUBLED)
+    one, _, three = exponentials(a, None if slopes is None else _DOUBLED)
     before = h * rate(x)
     moved = _times(one, before)
     remainder = h * rate(x + moved) - before - _times(a, moved)

@@ -336,7 +336,7 @@ class Physics:
         if self._is_stiff(theta):
             x, memory = split_columns(middle, system.nx, middle.shape[1] - system.nx)
             rate = self._with_memory(torch.arange(len(s)), (memory,))
-            one, _ = exponentials(s.dt * jacobians(rate, x))
+            one, _, _ = exponentials(s.dt * jacobians(rate, x))
             return s.dt * torch.einsum("nij,nj->ni", one, rate(x))
         return s.dt * self._averaged(self._drift(t, middle, s.u), t, middle, s.u)[:, : system.nx]
 

@@ -48,6 +48,7 @@ from nsde_torch.errors import NsdeError
 from nsde_torch.inference import LogLikelihood, MaximumLikelihood, Optimum, nearly_maximised
 from nsde_torch.inference.functions import Functions, held_out_density
 from nsde_torch.inference.sensitivity import grams
+from nsde_torch.inference.state_space import Along
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector, own_name
 from nsde_torch.time_limit import check_time
@@ -983,10 +984,9 @@ def looked(search: Search, place: FittedPhysics, frequencies: Sequence[float] = 
     space = place.at.of.space
     everything = range(len(place.best.vector))
     about = place.at.about
-    middle = space.midway(about.x, about.after)
-    base = space.columns(about.x, about.slopes, everything, middle=middle)
-    tables, entries, rates, carry = [base.float()], [], space.rates(middle), space.carried(middle)
-    at = 1 + base.shape[-1]
+    along = space.along(about.x, about.after)
+    base = space.columns(about.x, about.slopes, everything, along=along)
+    tables, entries, at = [base.float()], list[_Entry](), 1 + base.shape[-1]
     names = candidate_names(place.system, search.candidates)
     for name in names:
         check_time()
@@ -994,7 +994,7 @@ def looked(search: Search, place: FittedPhysics, frequencies: Sequence[float] = 
         for start in starts(place.system, name, place.at.of.sizes, frequencies):
             try:
                 own = own or place.at.of.of(joined(place.system, name, start), space.estimates)
-                entry, columns = _columns(own, place, name, start, (middle, rates, carry), at)
+                entry, columns = _columns(own, place, name, start, along, at)
             except (NsdeError, *_SINGULAR):
                 continue
             if not bool(torch.isfinite(columns).all()):
@@ -1038,13 +1038,12 @@ def _columns(
     place: FittedPhysics,
     name: str,
     start: Start,
-    there: tuple[torch.Tensor, torch.Tensor, torch.Tensor | None],
+    along: Along,
     at: int,
 ) -> tuple[_Entry, torch.Tensor]:
     """What a candidate does to the steps: by its start, beside the physics, and by each parameter.
 
-    `own` is the likelihood with it, `there` are states in the middle of the steps, the rates of the physics there, and
-    what becomes of these (`StateSpace.carried`).
+    `own` is the likelihood with it, `along` what is known of the steps of the physics without it.
     """
     space, vector, about, labels = own.space, own.vector, place.at.about, place.best.vector.labels
     known = dict(zip(labels, place.best.theta.tolist(), strict=True))
@@ -1061,11 +1060,10 @@ def _columns(
         space.use(np.where(np.isin(np.arange(len(theta)), sizes), 0.0, theta))
         moved = about.slopes.new_zeros(*about.x.shape[:2], space.ne, 1 + len(mine))
         which = [1 + mine.index(j) for j in sizes]
-        here = space.columns(about.x, about.slopes, sizes, None, None, *there)
-        moved[..., which] = here
+        moved[..., which] = space.columns(about.x, about.slopes, sizes, along=along)
     else:
         space.use(theta)
-        moved = space.columns(about.x, about.slopes, mine, None, there[1], there[0], carry=there[2])
+        moved = space.columns(about.x, about.slopes, mine, along=along, beside=True)
     places = tuple(range(at, at + 1 + len(mine))), tuple(vector.labels[j] for j in mine)
     values = theta[mine], vector.low[mine], vector.high[mine]
     return _Entry(name, start, *places, *values, 1 + np.array(missing, dtype=np.int64)), moved

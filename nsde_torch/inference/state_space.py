@@ -8,7 +8,7 @@ memory (`Effect.estimated`) stands behind the states of the machine.
 
 import copy
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from math import isfinite
 from typing import final
@@ -99,6 +99,16 @@ def _error_rate(system: System, x: Tensor, rate: Tensor) -> Tensor:
 def _rows(values: Tensor) -> Tensor:
     """Values (T, C, ...) as rows (T C, ...)."""
     return values.flatten(0, 1)
+
+
+@dataclass(frozen=True)
+class Along:
+    """Places along steps at which slopes in parameters are taken."""
+
+    places: Sequence[tuple[slice | Tensor, Tensor]]
+    """Rows and states (N, nx) there: all in the middle, and of stiff ones the start and the end."""
+    rates: Sequence[Tensor]  # of the physics that it was made of, at each of these (ne, N)
+    weights: tuple[Tensor, Tensor] | None  # of the start and the end (N, ne, ne); None where no row is stiff
 
 
 @final
@@ -430,10 +440,27 @@ class StateSpace:
                 out[i, turns] += torch.linalg.cross(error[:, turns].expand(len(x), 3), base[:, turns]).T
         return out.mul_(self.h / _SMALL).permute(2, 1, 0).contiguous()
 
-    def rates(self, middle: Tensor) -> Tensor:
-        """Undisturbed rates (T C, nx) at states in the middle of the steps (T, C, nx)."""
-        t, memory, u = self._in_the_middle()
-        return self.rate(t, _rows(middle), memory, u)
+    def along(self, x: Tensor, after: Tensor | None = None) -> "Along":
+        """Where slopes in parameters are taken of the steps from states (T, C, nx) to those after them, if known."""
+        after = self.after(x) if after is None else after
+        middle, (t, memory, u) = _rows(self.midway(x, after)), self._in_the_middle()
+        places: list[tuple[slice | Tensor, Tensor]] = [(slice(None), middle)]
+        weights = None
+        if self.stiff is not None:
+            whole = self._many or self._mostly_stiff
+            rows = torch.arange(len(middle)) if whole else _rows(self.stiff).nonzero()[:, 0]
+            a = self._pushed_by(middle[rows], t[rows], memory[rows], u[rows], range(self.ne))
+            one, two, _ = exponentials(a)
+            places += [(rows, _rows(end)[rows]) for end in (x, after)]
+            weights = one - two, two
+        return Along(places, self._rates_at(places, memory), weights)
+
+    def _rates_at(self, places: Sequence[tuple[slice | Tensor, Tensor]], memory: Tensor) -> list[Tensor]:
+        """Undisturbed rates (ne, N) at places along the steps (`Along`), with what is remembered (T C, nz - nx)."""
+        t, _, u = self._in_the_middle()
+        rates = [self.rate(t[some], z, memory[some], u[some]) for some, z in places]
+        system = self.vector.system
+        return [_error_rate(system, z, rate).T for (_, z), rate in zip(places, rates, strict=True)]
 
     def columns(
         self,
@@ -441,38 +468,38 @@ class StateSpace:
         slopes: Tensor,
         which: Sequence[int],
         after: Tensor | None = None,
-        beside: Tensor | None = None,
-        middle: Tensor | None = None,
-        here: Tensor | None = None,
-        carry: Tensor | None = None,
+        along: "Along | None" = None,
+        *,
+        beside: bool = False,
     ) -> Tensor:
         """What some parameters do to a step (T, C, ne, k) at states (T, C, nx).
 
         What they do to the rate in the middle of the step, carried to its end: second order in h, of directions in
-        which the likelihood is then climbed as it is. Of a machine that is stiff, what they do to the step itself.
+        which the likelihood is then climbed as it is. Of stiff rows, with A the slopes of the rate in the middle, a
+        what they do to it at the start and b at the end,
+
+            h (phi_1(h A) - phi_2(h A)) a + h phi_2(h A) b
+
+        as for a rate that changes evenly; of a machine that is stiff in most rows, by differences of steps
+        (`_stiff_columns`), unless `along` is given: ten times as fast, and enough for a candidate.
 
         Args:
             slopes: Of the step from these (T, C, ne, n).
             which: Numbers of the parameters.
             after: States after the undisturbed step, where they are known.
-            beside: Rates of other physics in the middle of the same steps (`rates`): what this does beside it is then
-                the first of the columns (T, C, ne, 1 + k).
-            middle: States in the middle of the steps (T, C, nx), where they are known.
-            here: Rates of this physics there (T C, nx), where they are known.
-            carry: `carried` from there, of physics that are stiff: enough for a candidate, and ten times as fast.
+            along: Where they are taken, and the rates there, of this or of other physics of the same steps.
+            beside: Whether `along` is of other physics: what this does beside it is then the first of the columns
+                (T, C, ne, 1 + k).
         """
-        if carry is None and self._mostly_stiff:
+        if along is None and self._mostly_stiff:
             return self._stiff_columns(x, which)
-        v = self.vector
-        there = self.midway(x, after) if middle is None else middle
-        carry = self.carried(there) if carry is None else carry
-        middle = _rows(there)
-        base = _error_rate(v.system, middle, self.rates(there) if here is None else here)
-        t, memory, u = self._in_the_middle()
-        first = 0 if beside is None else 1
-        out = base.new_empty(first + len(which), self.ne, len(middle))
-        if beside is not None:
-            torch.sub(base.T, _error_rate(v.system, middle, beside).T, out=out[0]).mul_(self.h)
+        v, memory = self.vector, _rows(self.memory)
+        along = self.along(x, after) if along is None else along
+        own, first = self._rates_at(along.places, memory) if beside else along.rates, int(beside)
+        changes = [base.new_empty(first + len(which), *base.shape) for base in own]
+        if beside:
+            for out, mine, theirs in zip(changes, own, along.rates, strict=True):
+                torch.sub(mine, theirs, out=out[0]).mul_(self.h)
         for i, j in enumerate(which, first):
             remembers = v.moves_memory[j] and v.system.nz > self.nx
             by = _SHARE * float(v.scale[j])
@@ -480,20 +507,15 @@ class StateSpace:
             theta[..., j] += by
             self._take(theta)
             held = _rows(self._memory()[0]) if remembers else memory
-            rate = _error_rate(v.system, middle, self.rate(t, middle, held, u))
-            torch.sub(rate.T, base.T, out=out[i]).mul_(self.h / by)
+            for out, rate, base in zip(changes, self._rates_at(along.places, held), own, strict=True):
+                torch.sub(rate, base, out=out[i]).mul_(self.h / by)
         self._take(self.theta)
-        moved = out.permute(2, 1, 0).contiguous()
-        if carry is None:
-            return self.passed(self._to_the_end(moved, slopes))
-        return self.passed((carry @ moved).view(*slopes.shape[:2], *moved.shape[1:]))
-
-    def carried(self, middle: Tensor) -> Tensor | None:
-        """What becomes of a rate in the middle of the step (T, C, nx) at its end (T C, ne, ne), where that is stiff."""
-        if self.stiff is None:
-            return None
-        t, memory, u = self._in_the_middle()
-        return self._mean(self._pushed_by(_rows(middle), t, memory, u, range(self.ne)), slice(None))
+        middle, *ends = (change.permute(2, 1, 0).contiguous() for change in changes)
+        moved = self._to_the_end(middle, slopes)
+        if along.weights is not None:
+            (rows, _), (before, later) = along.places[1], along.weights
+            _rows(moved)[rows] = before @ ends[0] + later @ ends[1]
+        return self.passed(moved)
 
     def _stiff_columns(self, x: Tensor, which: Sequence[int]) -> Tensor:
         """See `columns`: by differences of steps.

@@ -70,11 +70,11 @@ def test_columns_are_differences_of_steps_to_second_order(space: StateSpace, lab
 def test_what_physics_does_beside_others_is_the_first_column(space: StateSpace) -> None:
     x, v = space.chunks.y, space.vector
     slopes, after = space.linearised(x)
-    rates, j = space.rates(space.midway(x, after)), v.labels.index("linear_drag.drag[1]")
+    along, j = space.along(x, after), v.labels.index("linear_drag.drag[1]")
     differences, theta = _beside(space, j, 0.3), space.theta.numpy().copy()
     theta[j] += 0.3
     space.use(theta)
-    columns = space.columns(x, slopes, [j], after, rates)
+    columns = space.columns(x, slopes, [j], along=along, beside=True)
     theta[j] -= 0.3
     space.use(theta)
     assert columns.shape[-1] == 2

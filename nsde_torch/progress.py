@@ -18,6 +18,7 @@ PROGRESS = "NSDE_PROGRESS"
 LOG = logging.getLogger(__name__)
 """Takes each stage when it begins, for the file of a job; a handler that writes to a terminal shows it twice."""
 
+_AGAIN_S = 25.0  # after which the line of a stage that lasts is printed again
 Say = Callable[[str, int, int], None]
 """Takes stage, number done and number in all."""
 
@@ -36,7 +37,9 @@ def no_bar(quiet: bool = False) -> bool | None:
 
 
 class Stages:
-    """Prints a line per stage; on a terminal the line counts. With `NSDE_PROGRESS=json` every step is a line.
+    """Prints a line per stage, again while it lasts; on a terminal the line counts.
+
+    With `NSDE_PROGRESS=json` every step is a line.
 
     Args:
         stream: Where to; standard error by default.
@@ -47,19 +50,23 @@ class Stages:
         self._json = os.environ.get(PROGRESS) == "json"
         self._live = self._stream.isatty() and not self._json
         self._stage = self._found = ""
-        self._started = self._first = time.monotonic()
+        self._started = self._first = self._shown = time.monotonic()
         self._ends: float | None = None
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         """Say that `done` of `total` pieces of a stage are done."""
         now = time.monotonic()
-        if stage != self._stage:
+        new = stage != self._stage
+        if new:
             self._end()
             self._stage, self._first = stage, now
-            begun = self._line(now, left=self._left(now))
-            LOG.info(begun)
+        if new or now - self._shown > _AGAIN_S:
+            self._shown = now
+            line = self._line(now, left=self._left(now))
+            if new:
+                LOG.info(line)
             if not (self._live or self._json):
-                print(begun, file=self._stream, flush=True)
+                print(line, file=self._stream, flush=True)
         if self._json:
             step = {"stage": stage, "done": done, "total": total, "seconds": round(now - self._started, 3)}
             step |= {"found": self._found} if self._found else {}

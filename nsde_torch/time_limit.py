@@ -8,10 +8,13 @@ It needs no signal and no other thread, so that it holds in any thread and nothi
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextvars import ContextVar, Token
 from math import inf
 from time import perf_counter
 from typing import final
+
+ALIVE_S = 30.0
 
 
 @final
@@ -25,13 +28,15 @@ class TimeLimit:
 
     Args:
         seconds: From now on [s]; None: no limit.
+        still: Called about every `ALIVE_S` while the work goes on.
 
     Attributes:
         holds: Whether it ends anything yet; what is needed for any answer may take longer.
     """
 
-    def __init__(self, seconds: float | None) -> None:
+    def __init__(self, seconds: float | None, still: Callable[[], None] | None = None) -> None:
         self._ends = inf if seconds is None else perf_counter() + seconds
+        self._still, self._said = still, perf_counter()
         self._before: list[Token[TimeLimit | None]] = []
         self.holds = True
 
@@ -39,6 +44,13 @@ class TimeLimit:
     def left_s(self) -> float:
         """Time that is left [s]; infinite without a limit."""
         return self._ends - perf_counter()
+
+    def alive(self) -> None:
+        """Say that the work goes on, where it has not been said for a while."""
+        now = perf_counter()
+        if self._still is not None and now - self._said > ALIVE_S:
+            self._said = now
+            self._still()
 
     def __enter__(self) -> TimeLimit:
         self._before.append(_LIMIT.set(self))
@@ -58,5 +70,8 @@ def check_time() -> None:
         TimeUpError: it is.
     """
     limit = _LIMIT.get()
-    if limit is not None and limit.holds and limit.left_s < 0.0:
+    if limit is None:
+        return
+    if limit.holds and limit.left_s < 0.0:
         raise TimeUpError
+    limit.alive()

@@ -419,7 +419,7 @@ class JointSearch:
     def without(self, place: FittedPhysics, name: str) -> FittedPhysics:
         """The physics without an effect, fitted; a declared one that it stood in for is back."""
         rest = without_effect(place.system, self.declared.system, name)
-        return self._places.get(frozenset(rest.effect_names)) or self.fitted(rest, place)
+        return self._places.get(frozenset(rest.effect_names)) or self.tried(rest, place)
 
     def added(self, system: System) -> frozenset[str]:
         return frozenset(system.effect_names) - self._declared
@@ -626,10 +626,14 @@ class JointSearch:
         return best if best is before else self._settled(best)
 
     def _settled(self, place: FittedPhysics) -> FittedPhysics:
-        """Physics fitted again from where their fit ended, until that is no likelier."""
+        """Physics fitted again from where their fit ended, until that is no likelier.
+
+        Where innovations are not as predicted, a nat is worth less: fits of a boat at sea were begun again for minutes.
+        """
         while isfinite(place.best.likelihood):
             again = self.tried(place.system, place)
-            if again.best.likelihood <= place.best.likelihood + self.search.decisions.alike_nats:
+            least = self.search.decisions.alike_nats * place.best.inflation
+            if again.best.likelihood <= place.best.likelihood + least:
                 break
             place = again
         return place
@@ -755,6 +759,9 @@ class JointSearch:
 
         Of what comes `near` in a part of the log, if that is known; where something is likelier there, of anything.
         """
+        # without it the filter may diverge, and nothing can be begun there (blind joints of seed 202, case 1)
+        if not isfinite(without.best.likelihood):
+            return Instead()
         some = near if near is not None and near.better is None else None
         alike, better = self._rivals(name, place, without, None if some is None else some.ties)
         law = ""
@@ -869,9 +876,6 @@ class JointSearch:
         if effect.port in (Port.INPUT, Port.RATE) and not effect.n_memory:
             return self._likelier_law(place, without)
         if not isinstance(effect, Law) or (effect.at.port, effect.at.row) not in space.disturbances:
-            return "", None
-        # without it the filter may diverge, and nothing can be begun there (blind joints of seed 202, case 1)
-        if not isfinite(without.best.likelihood):
             return "", None
         port = space.disturbances.index((effect.at.port, effect.at.row))
         terms = terms_on(without.system, without.at, port, coordinate_of(place.system, effect))

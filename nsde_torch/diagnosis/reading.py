@@ -138,9 +138,13 @@ class Log:
 
     def shown(self, physics: System, effect: str) -> bool:
         """Whether signals from outside the loop show an effect of physics with fitted values."""
-        return bool(self.options.instruments) and shown_by_instruments(
-            self.identified(physics), effect, level("effects", self.decisions.alpha, self.recorded.stages)
+        if not self.options.instruments:
+            return False
+        found = self.stages.attempt(
+            "estimates from signals outside the loop", lambda: self.identified(physics), None
         )
+        alpha = level("effects", self.decisions.alpha, self.recorded.stages)
+        return found is not None and shown_by_instruments(found, effect, alpha)
 
 
 def cut_at(runs: Sequence[Run], moments: Moments) -> tuple[Run, ...]:

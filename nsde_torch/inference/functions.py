@@ -442,7 +442,7 @@ class _Choice:
         self._variables, self._among = variables, among
         self._all = self._few = _View(at, variables)
         self._beside_chosen = at  # what scores are of: with what was chosen under noise levels before
-        self._scored: _View | None = None  # of the rows that scores are of
+        self._scored: tuple[Optimum, _View] | None = None  # what scores are of, and its rows
         if among is None and self._all.about.x.shape[:2].numel() > _SCREENED:
             self._few = _View(at, variables, _SCREENED)
         counted = at.of.space.chunks.counted.flatten().numpy()
@@ -533,10 +533,10 @@ class _Choice:
         if group not in self._chances:
             check_time()
             forces = force_scores(self._beside_chosen)
-            if self._scored is None:
+            if self._scored is None or self._scored[0] is not forces.at:
                 whole = forces.at is self._beside_chosen
-                self._scored = self._all if whole else _View(forces.at, self._variables)
-            values = self._scored.force(group, self._scaled).transpose(0, 1).numpy()
+                self._scored = forces.at, self._all if whole else _View(forces.at, self._variables)
+            values = self._scored[1].force(group, self._scaled).transpose(0, 1).numpy()
             self._chances[group] = log_chance(forces.of_rows(values, group.port))
         return self._chances[group] < log(_TRACE)
 

@@ -19,6 +19,7 @@ from nsde_torch.diagnosis.text import lines
 from nsde_torch.effects import files as effects_files
 from nsde_torch.errors import CheckpointError, ConfigError, DataError
 from nsde_torch.progress import Stages
+from nsde_torch.time_limit import TimeLimit, check_time
 from nsde_torch.whole_files import write_whole
 
 SPRING, FRICTION = "mass_spring_damper", "coulomb_friction"
@@ -147,6 +148,21 @@ def test_a_line_says_what_was_found_and_roughly_how_long_is_left() -> None:
         "[    0 s] round 2: trying 56 effects; so far: motor_lag (+812 nats); roughly 60 s left",
         "[    0 s] round 3: trying 55 effects; so far: motor_lag (+812 nats); roughly 5 min left",
         "[    0 s] testing what is left; so far: motor_lag (+812 nats)",
+    ]
+
+
+def test_a_stage_that_lasts_is_said_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    stream, now = io.StringIO(), [100.0]
+    monkeypatch.setattr("time.monotonic", lambda: now[0])
+    monkeypatch.setattr("nsde_torch.time_limit.perf_counter", lambda: now[0])
+    stages = Stages(stream)
+    stages("round 5: trying 44 effects", 0, 44)
+    with TimeLimit(None, lambda: stages("round 5: trying 44 effects", 0, 44)):
+        for _ in range(70):
+            now[0] += 1.0
+            check_time()
+    assert stream.getvalue().splitlines() == [
+        f"[{seconds:5d} s] round 5: trying 44 effects" for seconds in (0, 31, 62)
     ]
 
 

@@ -67,13 +67,13 @@ def cut_repeats(run: RawRun, system: SystemInfo, report: Report) -> None:
         _tell(run, report, "frozen_rows", frozen, text)
         run.rows(~frozen)
     drop = np.zeros(len(run.t), dtype=bool)
-    for name, column, bad in _contradicted(run, system):
+    for name, column, bad in (*_contradicted(run, system), *_at_ends(run, system)):
         for which, value in (("lowest", column.min()), ("highest", column.max())):
             at_end = column == value
             if not (bad & at_end).any():
                 continue
             bad, rows = bad & ~at_end, _closed(at_end)
-            text = f"{name} stands at its {which} value {value:.6g}, while its partner moves on: the sensor's end"
+            text = f"{name} stands at its {which} value {value:.6g} and there alone: the sensor's end"
             _tell(run, report, "sensor_end", rows, text, {"column": name, "value": float(value)})
             drop |= rows
         if bad.any():
@@ -152,6 +152,19 @@ def _contradicted(run: RawRun, system: SystemInfo) -> Iterator[tuple[str, Array,
         fine = 2.0 * max(quantum(v) for v in x[:, q].T)
         for w, turned, name in zip(x[:, rates].T, increments(x[:, q]).T, RATE_NAMES, strict=True):
             yield repr(name), w, _false(np.diff(w) == 0, turned, w, steps, fine, held_rate=True)
+
+
+def _at_ends(run: RawRun, system: SystemInfo) -> Iterator[tuple[str, Array, Mask]]:
+    """The same of states without a partner: rows at an end of a column that is noisy but there (a level of 10 V)."""
+    if system.quaternion is not None:  # all that it has is paired
+        return
+    paired = {j for pair in rate_pairs(system) for j in pair}
+    for j, name in enumerate(system.state_names):
+        column = run.x[:, j]
+        noise = white(column) if j not in paired and len(column) > _MOVING else 0.0
+        if noise > _GRAINS * quantum(column) and noise > _FAINT * np.ptp(column):
+            held = _repeats(np.diff(column) == 0)
+            yield repr(name), column, held & ((column == column.min()) | (column == column.max()))
 
 
 def _false(same: Mask, changes: Array, rate: Array, steps: Array, fine: float, *, held_rate: bool) -> Mask:

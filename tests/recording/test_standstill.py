@@ -5,6 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from nsde_torch.data import DataSet, Finding, RawRun
+from nsde_torch.data.system_info import changed
 from nsde_torch.errors import DataError
 from nsde_torch.recording import assemble
 from tests.helpers.data_systems import CARTPOLE, HEXACOPTER, MSD
@@ -46,6 +47,19 @@ def test_one_sensor_that_repeats_itself_while_the_other_moves_is_cut_out_by_name
     x[500:600, column] = x[500, column]
     _, (finding,) = read(x)
     assert (finding.kind, finding.values["column"], finding.count) == ("frozen_rows", repr(name), 99)
+
+
+@pytest.mark.parametrize(("noise", "found"), [(0.01, ["sensor_end"]), (0.0, [])])
+def test_a_level_without_a_rate_that_stands_at_its_highest_is_the_sensor_s_end(
+    noise: float, found: list[str]
+) -> None:
+    tank = changed(MSD, state_names=("level",), state_units=("V",), position_derivatives=())
+    level = 6.0 + 5.0 * np.sin(0.5 * T) + noise * np.random.default_rng(0).normal(size=len(T))
+    level = np.minimum(np.round(level, 4), 10.0)
+    data = assemble([RawRun("run", T.copy(), level[:, None], np.sin(7 * T)[:, None])], tank, kind="test")
+    ends = [f for f in data.summary.findings if f.kind == "sensor_end"]
+    assert [f.kind for f in ends] == found  # of a tank without noise it may be an overflow
+    assert sum(f.count for f in ends) == (level == 10.0).sum() * bool(found)
 
 
 @pytest.mark.parametrize(("column", "end"), [(0, 0.3), (1, 0.7)])

@@ -370,6 +370,9 @@ def held_out(
         return HeldOut(content, False, (), brought)
     full = fitted(after, folds)
     rest = full if before is after else fitted(before, folds)
+    each = [(Physics(ParameterVector(one.vector.at_first()), steps), one.theta) for one in (rest, full)]
+    if any(physics.is_stiff(torch.as_tensor(theta)) for physics, values in each for theta in values):
+        spec = replace(spec, step="exponential")
     replayed = _Replayed(spec, tests, folds, clock)
     errors = replayed.errors(rest, full, seed, decisions)
     content |= errors

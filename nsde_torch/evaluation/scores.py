@@ -26,7 +26,6 @@ from nsde_torch.errors import NonFiniteError
 from nsde_torch.models.before import inputs_before, sampled
 from nsde_torch.models.identified import IdentifiedModel
 from nsde_torch.models.model import Model
-from nsde_torch.sde import make_step
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
 
@@ -286,7 +285,7 @@ def _begun(model: IdentifiedModel, windows: Windows, starts: Tensor) -> tuple[Te
 def _advanced(
     model: IdentifiedModel, dt: float, steps: Sequence[int], z: Tensor, u: Tensor, t0: Tensor
 ) -> Tensor:
-    system, solver, out = model.system, make_step("rk4"), {}
+    system, solver, out = model.system, model.step, {}
     for k in range(max(steps)):
         z = system.project(solver.advance(model, t0[:, None] + k * dt, z, u[:, k], dt, None))
         if k + 1 in steps:

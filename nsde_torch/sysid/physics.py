@@ -251,7 +251,7 @@ class Physics:
         """Predicted change over each step (N, nx)."""
         self.vector.use(theta)
         system, s = self.vector.system, self.steps
-        if self._is_stiff(theta):  # what was measured after a step says nothing of the way there
+        if self.is_stiff(theta):  # what was measured after a step says nothing of the way there
             held = (0.5 * (memory[0] + memory[1]),) if memory else ()
             return stiff_change(self._with_memory(torch.arange(len(s)), held), s.x0, s.dt)
         z0, z1 = s.x0, s.x1
@@ -267,7 +267,7 @@ class Physics:
         change = (s.dt / 6) * (f0 + 4.0 * fm + f1)[:, : system.nx]
         return self.turn(change, self.attitude)
 
-    def _is_stiff(self, theta: Tensor) -> bool:
+    def is_stiff(self, theta: Tensor) -> bool:
         """Whether something settles in hardly more than a step under the values in use; see `sde.exponential`."""
         if self.vector.system.quaternion is not None:
             return False
@@ -333,7 +333,7 @@ class Physics:
         self.vector.use(theta)
         system, s = self.vector.system, self.steps
         t = s.t + 0.5 * s.logged_dt
-        if self._is_stiff(theta):
+        if self.is_stiff(theta):
             x, memory = split_columns(middle, system.nx, middle.shape[1] - system.nx)
             rate = self._with_memory(torch.arange(len(s)), (memory,))
             one, _, _ = exponentials(s.dt * jacobians(rate, x))
@@ -358,7 +358,7 @@ class Physics:
         if not self._lead:
             x = self.vector.system.project(0.5 * (s.x0 + s.x1))
             return join_columns((x, 0.5 * (memory[0] + memory[1]))) if memory else x
-        stiff = self._is_stiff(theta)
+        stiff = self.is_stiff(theta)
         x = take_rows(s.x0, torch.maximum(rows - self._lead, self._starts))
         for back in range(self._lead, 0, -1):
             at = rows - back

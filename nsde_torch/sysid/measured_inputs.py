@@ -51,6 +51,8 @@ _WINDOW, _SLOW = 2048, 4  # rows of a spectrum, and its lowest frequencies, whic
 _AROUND, _WAVE = 7, 4.0  # frequencies about each, and times their median that a wave is
 _TOP, _NOTHING = 0.35, 1e-6
 """Rows^-1 above which a spectrum may be white noise, and the share of an input's variance below which that is none."""
+_MOST_OF_IT = 0.25
+"""Share of it that noise may be: the flow through a heat exchanger, drawn anew every few seconds, was all noise."""
 _FIRST, _ALIKE = 1.0 / 64.0, 2.0
 """Share of that which is tried first, and ratio of variances up to which inputs are taken for equally noisy."""
 _LAGS, _DELAYS, _GAPS, _DEAD, _WITHIN = (1, 3, 10, 30), (1, 3, 10), (0.1, 0.3, 1.0), (0.2,), (0.8, 0.95)
@@ -273,8 +275,8 @@ def _white_noise(runs: Sequence[Run], nu: int) -> _WhiteNoise | None:
     power: Array = np.average(
         [welch(u, nperseg=rows, axis=0)[1].T for u in long], axis=0, weights=[len(u) for u in long]
     )
-    floor = 0.5 * np.median(power[:, f > _TOP], axis=1)
     moved = np.concatenate(parts).var(0)
+    floor = np.minimum(0.5 * np.median(power[:, f > _TOP], axis=1), _MOST_OF_IT * moved)
     if not (moved > 0.0).all() or (floor < _NOTHING * moved).all():
         return None
     weights, errors = [], []

@@ -167,8 +167,8 @@ def guarded(
         less = ", ".join(c.name for c in channels if _apart(c) and c.less)
         if less and not objections and chance < CHANCE:
             notes.append(
-                f"least squares on means over 0.15 s, or five rows, find less of {less} than the fit: the fit is kept. Feedback "
-                "that answers what the physics lacks, and noise of the states, make what least squares find smaller"
+                f"least squares on means over 0.15 s, or five rows, find less of {less} than the fit: the fit is kept. "
+                "Feedback that answers what the physics lacks, and noise of the states, make what least squares find smaller"
             )
     values = tuple(vector.labels), tuple(rough.theta.tolist())
     found = Guarded(tuple(objections), tuple(channels), *values, chance, tuple(notes))

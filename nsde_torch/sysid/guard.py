@@ -168,7 +168,7 @@ def guarded(
         if less and not objections and chance < CHANCE:
             notes.append(
                 f"least squares on means over 0.15 s, or five rows, find less of {less} than the fit: the fit is kept. "
-                "Feedback that answers what the physics lacks, and noise of the states, make what least squares find smaller"
+                "Feedback that answers what the physics lacks, and noise of the states, make what they find smaller"
             )
     values = tuple(vector.labels), tuple(rough.theta.tolist())
     found = Guarded(tuple(objections), tuple(channels), *values, chance, tuple(notes))

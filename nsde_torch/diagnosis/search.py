@@ -12,6 +12,7 @@ from nsde_torch.data import Run
 from nsde_torch.diagnosis.candidates import of_each_run, on_coordinates
 from nsde_torch.diagnosis.decisions import BUDGETS, Budgets, Decisions, Options
 from nsde_torch.effects import Effect, Law, effect_class, register
+from nsde_torch.errors import NonFiniteError
 from nsde_torch.inference.steps import Steps, steps_of
 from nsde_torch.progress import Say
 from nsde_torch.recording.fault import STAGES, level
@@ -241,7 +242,12 @@ class Search:
         """The regression of a system alone, without what candidates are compared by; the last one is kept."""
         if self._quick is None or self._quick[0] is not system:
             regression = self.regression(system)
-            regression.run(self.budgets.iterations)
+            try:
+                regression.run(self.budgets.iterations)
+            except NonFiniteError:
+                # it runs away, and is where the likelihood begins and no more: noise of the angles on both sides of a
+                # stiff joint was a stiffness 14 times too large, at which its steps diverge
+                regression = self.regression(system)
             self._quick = system, regression
         return self._quick[1]
 

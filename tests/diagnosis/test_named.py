@@ -14,10 +14,12 @@ from nsde_torch.data import RawRun
 from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.pipeline import diagnose
 from nsde_torch.effects import Effect, Parameter, Port
+from nsde_torch.errors import NonFiniteError
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.recording import Recording
+from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import make_system
-from tests.helpers.diagnosed import diagnosed, recorded
+from tests.helpers.diagnosed import assert_interval, diagnosed, recorded
 
 FRICTION = {"coulomb_friction": {"size": 0.3}}
 
@@ -195,3 +197,16 @@ def test_an_effect_that_reads_a_logged_column_is_named_and_finds_its_own_column(
     content = diagnose(system, spec, replace(data, runs=runs), runs, options).content()
     assert content["added"] == ["supply"]
     assert content["parameters"]["supply.sensitivity"]["value"] == pytest.approx(0.05, rel=0.2)
+
+
+def test_a_regression_that_runs_away_is_where_the_likelihood_begins_and_no_more(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def away(self: Regression, iterations: int) -> None:
+        raise NonFiniteError("the declared physics is not finite")
+
+    monkeypatch.setattr(Regression, "run", away)
+    few = Options(candidates=("coulomb_friction", "quadratic_damping"))
+    content = diagnosed("mass_spring_damper", {"coulomb_friction": {"size": 0.4}}, options=few)[1]
+    assert content["added"] == ["coulomb_friction"]
+    assert_interval(content["parameters"], "coulomb_friction.size", 0.4, width=0.1)

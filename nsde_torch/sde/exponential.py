@@ -54,7 +54,7 @@ def exponentials(a: Tensor, doubled: int | None = None) -> tuple[Tensor, Tensor,
 
         whole = a.detach().double()
         turn = _balance(whole)
-        whole = whole * turn
+        whole = (whole * turn).contiguous()
         one, two, three = (torch.empty_like(whole) for _ in range(3))
         phi(*(values.numpy() for values in (whole, one, two, three)))
         return one / turn, two / turn, three / turn

@@ -19,7 +19,14 @@ from torch import Tensor
 from nsde_torch.arrays import Array
 from nsde_torch.columns import join_columns, split_columns
 from nsde_torch.effects import Port
-from nsde_torch.inference.steps import Chunks, Steps, low_passed, memory_along, memory_as_measured
+from nsde_torch.inference.steps import (
+    Chunks,
+    Steps,
+    low_passed,
+    memory_along,
+    memory_as_measured,
+    memory_moves,
+)
 from nsde_torch.rotation import body_rates, turned
 from nsde_torch.sde.exponential import MOSTLY, exponentials, largest, stiff_change, stiff_rows
 from nsde_torch.systems import System
@@ -105,8 +112,8 @@ def _rows(values: Tensor) -> Tensor:
 class Along:
     """Places along steps at which slopes in parameters are taken."""
 
-    places: Sequence[tuple[slice | Tensor, Tensor]]
-    """Rows and states (N, nx) there: all in the middle, and of stiff ones the start and the end."""
+    places: Sequence[tuple[slice | Tensor, Tensor, float]]
+    """Rows, states (N, nx) there, and how far from the middle: all of them there, of stiff ones both ends."""
     rates: Sequence[Tensor]  # of the physics that it was made of, at each of these (ne, N)
     weights: tuple[Tensor, Tensor] | None  # of the start and the end (N, ne, ne); None where no row is stiff
 
@@ -168,6 +175,7 @@ class StateSpace:
         out = copy.copy(self)
         out.chunks = self.chunks.some(which)
         out.memory, out.begun = self.memory[:, which], self.begun[:, which]
+        out._moves = None if self._moves is None else self._moves[:, which]
         out.measured = None if self.measured is None else self.measured[:, which]
         out.stiff = None if self.stiff is None else self.stiff[:, which]
         return out
@@ -185,31 +193,48 @@ class StateSpace:
         self.theta = torch.as_tensor(theta)
         self._take(self.theta)
         self.memory, self.begun = self._memory()
+        self._moves: Tensor | None = None
 
     def _take(self, theta: Tensor) -> None:
         """Take values for all but memory."""
         self._now, self._many = theta, theta.dim() > 1
         self.vector.use(theta)
 
-    def _cut(self, before: Tensor, after: Tensor) -> tuple[Tensor, Tensor]:
-        """See `_memory`, from memory at both ends of each step."""
-        return self.chunks.cut(0.5 * (before + after)), self.chunks.cut(before[:, list(self.estimated)])
-
     def _memory(self) -> tuple[Tensor, Tensor]:
         """Memory of the effects over the step from each row (T, C, nz - nx), and what is estimated, at each row."""
+        before, after = self._of_stretches(memory_along)
+        return self.chunks.cut(0.5 * (before + after)), self.chunks.cut(before[:, list(self.estimated)])
+
+    def _movement(self) -> Tensor:
+        """By how much memory changes over the step from each row (T, C, nz - nx)."""
+        return self.chunks.cut(self._of_stretches(memory_moves)[0])
+
+    @property
+    def moves(self) -> Tensor | None:
+        """See `_movement`; None where no row is stiff."""
+        if self.stiff is None:
+            return None
+        if self._moves is None:
+            self._moves = self._movement()
+        return self._moves
+
+    def _of_stretches(self, made: Callable[[System, Steps], tuple[Tensor, ...]]) -> list[Tensor]:
+        """What is made of all steps (N, nz - nx), under values that may differ from stretch to stretch."""
         system = self.vector.system
         if system.nz == system.nx:
-            nothing = self.chunks.u.new_zeros(*self.chunks.row.shape, 0)
-            return nothing, nothing
+            return [self.steps.x0.new_zeros(len(self.steps), 0)] * 2
         if not self._many:
-            return self._cut(*memory_along(system, self.steps))
+            return list(made(system, self.steps))
         each, owner = torch.unique(self._now, dim=0, return_inverse=True)
-        out = self.chunks.u.new_empty(2, len(self.steps), system.nz - system.nx)
+        out: list[Tensor] = []
         for i, theta in enumerate(each):
             self.vector.use(theta)
             part, rows = self.steps.of(torch.nonzero(owner == i)[:, 0].tolist())
-            out[:, rows] = torch.stack(memory_along(system, part))
-        return self._cut(*out)
+            values = made(system, part)
+            out = out or [v.new_empty(len(self.steps), v.shape[1]) for v in values]
+            for whole, own in zip(out, values, strict=True):
+                whole[rows] = own
+        return out
 
     def states(self, x: Tensor) -> Tensor:
         """States (T, C, nx) from the machine's (T, C, k), with estimated memory as it follows what was measured."""
@@ -268,23 +293,34 @@ class StateSpace:
         """Rates of states (N, nx), all under the same forces (1, width of the port), if any."""
         return self._of_rows(partial(self._rate, push or {}), t, x, memory, u)
 
-    def step(self, t: Tensor, x: Tensor, memory: Tensor, u: Tensor) -> Tensor:
+    def step(self, t: Tensor, x: Tensor, memory: Tensor, u: Tensor, moves: Tensor | None = None) -> Tensor:
         """States (N, nx) an undisturbed step later: Runge and Kutta's fourth order, in stiff rows an exponential rule.
 
         Of a dry friction these are the few in which it holds; where most are stiff, or which is not known, all take it.
+        There memory changes by `moves` over the step, as what settles within it follows.
         """
         stiff = self.stiff
         if stiff is None:
             return self._of_rows(self._step, t, x, memory, u)
         if self._many or self._mostly_stiff or stiff.numel() != len(x):
-            return self._stiff_step(t, x, memory, u)
+            return self._stiff_step(t, x, memory, u, moves)
         out, some = self._of_rows(self._step, t, x, memory, u), _rows(stiff)
-        out[some] = self._stiff_step(t[some], x[some], memory[some], u[some])
+        moves = None if moves is None else moves[some]
+        out[some] = self._stiff_step(t[some], x[some], memory[some], u[some], moves)
         return out
 
-    def _stiff_step(self, t: Tensor, x: Tensor, memory: Tensor, u: Tensor) -> Tensor:
+    def _stiff_step(self, t: Tensor, x: Tensor, memory: Tensor, u: Tensor, moves: Tensor | None) -> Tensor:
+        """See `step`: z' = f(z, m + (s / h - 1/2) moves), of which moves alone do h (phi_2 - phi_1 / 2) df.
+
+        An actuator's lag of 4 s before a node of 0.5 s, logged every 2 s, acted by its mean over the row: 3.3 s.
+        """
         late = t + 0.5 * self.logged_h
-        return self._project(x + stiff_change(lambda z: self.rate(late, z, memory, u), x, self.h))
+        change = stiff_change(lambda z: self.rate(late, z, memory, u), x, self.h)
+        if moves is not None and bool(moves.any()):
+            first, last = (self.rate(late, x, memory + share * moves, u) for share in (-0.5, 0.5))
+            one, two, _ = exponentials(self._pushed_by(x, late, memory, u, range(self.ne)))
+            change = change + self.h * ((two - 0.5 * one) @ (last - first)[..., None])[..., 0]
+        return self._project(x + change)
 
     @property
     def _mostly_stiff(self) -> bool:
@@ -334,7 +370,8 @@ class StateSpace:
     def after(self, x: Tensor) -> Tensor:
         """States a step after some (T, C, nx), undisturbed."""
         t, flat, memory, u = map(_rows, (self.chunks.t, x, self.memory, self.chunks.u))
-        return self.step(t, flat, memory, u).view(x.shape)
+        moves = None if self.moves is None else _rows(self.moves)
+        return self.step(t, flat, memory, u, moves).view(x.shape)
 
     def midway(self, x: Tensor, after: Tensor | None = None) -> Tensor:
         """States in the middle of the undisturbed step from some (T, C, nx) to those after it, where they are known."""
@@ -444,23 +481,27 @@ class StateSpace:
         """Where slopes in parameters are taken of the steps from states (T, C, nx) to those after them, if known."""
         after = self.after(x) if after is None else after
         middle, (t, memory, u) = _rows(self.midway(x, after)), self._in_the_middle()
-        places: list[tuple[slice | Tensor, Tensor]] = [(slice(None), middle)]
+        places: list[tuple[slice | Tensor, Tensor, float]] = [(slice(None), middle, 0.0)]
         weights = None
         if self.stiff is not None:
             whole = self._many or self._mostly_stiff
             rows = torch.arange(len(middle)) if whole else _rows(self.stiff).nonzero()[:, 0]
             a = self._pushed_by(middle[rows], t[rows], memory[rows], u[rows], range(self.ne))
             one, two, _ = exponentials(a)
-            places += [(rows, _rows(end)[rows]) for end in (x, after)]
+            places += [(rows, _rows(end)[rows], share) for end, share in ((x, -0.5), (after, 0.5))]
             weights = one - two, two
-        return Along(places, self._rates_at(places, memory), weights)
+        return Along(places, self._rates_at(places, memory, self.moves), weights)
 
-    def _rates_at(self, places: Sequence[tuple[slice | Tensor, Tensor]], memory: Tensor) -> list[Tensor]:
-        """Undisturbed rates (ne, N) at places along the steps (`Along`), with what is remembered (T C, nz - nx)."""
+    def _rates_at(
+        self, places: Sequence[tuple[slice | Tensor, Tensor, float]], memory: Tensor, moves: Tensor | None
+    ) -> list[Tensor]:
+        """Undisturbed rates (ne, N) at places along the steps (`Along`), with memory (T C, nz - nx) that moves."""
         t, _, u = self._in_the_middle()
-        rates = [self.rate(t[some], z, memory[some], u[some]) for some, z in places]
-        system = self.vector.system
-        return [_error_rate(system, z, rate).T for (_, z), rate in zip(places, rates, strict=True)]
+        system, out = self.vector.system, []
+        for some, z, share in places:
+            held = memory[some] if moves is None or not share else memory[some] + share * _rows(moves)[some]
+            out.append(_error_rate(system, z, self.rate(t[some], z, held, u[some])).T)
+        return out
 
     def columns(
         self,
@@ -493,9 +534,9 @@ class StateSpace:
         """
         if along is None and self._mostly_stiff:
             return self._stiff_columns(x, which)
-        v, memory = self.vector, _rows(self.memory)
+        v, memory, moves = self.vector, _rows(self.memory), self.moves
         along = self.along(x, after) if along is None else along
-        own, first = self._rates_at(along.places, memory) if beside else along.rates, int(beside)
+        own, first = self._rates_at(along.places, memory, moves) if beside else along.rates, int(beside)
         changes = [base.new_empty(first + len(which), *base.shape) for base in own]
         if beside:
             for out, mine, theirs in zip(changes, own, along.rates, strict=True):
@@ -507,13 +548,15 @@ class StateSpace:
             theta[..., j] += by
             self._take(theta)
             held = _rows(self._memory()[0]) if remembers else memory
-            for out, rate, base in zip(changes, self._rates_at(along.places, held), own, strict=True):
+            changed = self._movement() if remembers and moves is not None else moves
+            rates = self._rates_at(along.places, held, changed)
+            for out, rate, base in zip(changes, rates, own, strict=True):
                 torch.sub(rate, base, out=out[i]).mul_(self.h / by)
         self._take(self.theta)
         middle, *ends = (change.permute(2, 1, 0).contiguous() for change in changes)
         moved = self._to_the_end(middle, slopes)
         if along.weights is not None:
-            (rows, _), (before, later) = along.places[1], along.weights
+            (rows, *_), (before, later) = along.places[1], along.weights
             _rows(moved)[rows] = before @ ends[0] + later @ ends[1]
         return self.passed(moved)
 
@@ -530,8 +573,10 @@ class StateSpace:
             theta = self.theta.clone()
             theta[..., j] += by
             self._take(theta)
-            held = self._memory()[0] if v.moves_memory[j] and v.system.nz > self.nx else self.memory
-            out.append(self.error(self.step(t, flat, _rows(held), u).view(x.shape), base) / by)
+            remembers = v.moves_memory[j] and v.system.nz > self.nx
+            held, moves = (self._memory()[0], self._movement()) if remembers else (self.memory, self.moves)
+            assert moves is not None  # most rows are stiff
+            out.append(self.error(self.step(t, flat, _rows(held), u, _rows(moves)).view(x.shape), base) / by)
         self._take(self.theta)
         return self.passed(torch.stack(out, -1)) if out else x.new_zeros(*x.shape[:2], self.ne, 0)
 

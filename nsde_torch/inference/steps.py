@@ -343,6 +343,7 @@ def low_passed(values: Tensor, hz: float, dt: float, *, level: bool = False) -> 
 # ---- memory along steps ------------------------------------------------------------------------------
 
 
+_PARTS = 20  # of a step, for how what is held over it changes there
 _PIECE = 50
 _TOLERANCE = 1e-9
 
@@ -412,9 +413,25 @@ def memory_along(system: System, steps: Steps) -> tuple[Tensor, Tensor]:
     return torch.where(known, starts, out[0]), torch.where(known, exact, out[1])
 
 
-def _held(system: System, steps: Steps) -> tuple[Tensor, Tensor, Tensor]:
-    """Memory that effects know exactly, as `System.held_memory` has it."""
-    starts, parts = [], []
+def memory_moves(system: System, steps: Steps) -> tuple[Tensor]:
+    """By how much memory changes over each step (N, nz - nx): what settles within the step follows it.
+
+    Of what is known of held inputs as its mean over a step, that of the straight line nearest to `_PARTS` of it: a
+    delay may jump within a step.
+    """
+    before, after = memory_along(system, steps)
+    moves = after - before
+    held = (moves == 0.0).all(0)
+    if bool(held.any()):
+        values = _held(system, steps, _PARTS)[0].view(len(moves), _PARTS, -1)
+        weights = 12.0 / _PARTS * ((torch.arange(_PARTS, dtype=moves.dtype) + 0.5) / _PARTS - 0.5)
+        moves[:, held] = torch.einsum("p,npk->nk", weights, values)[:, held]
+    return (moves,)
+
+
+def _held(system: System, steps: Steps, parts: int = 1) -> tuple[Tensor, Tensor, Tensor]:
+    """Memory that effects know exactly, as `System.held_memory` has it, over each of some parts of the steps."""
+    starts, ends = [], []
     for i, (a, b) in enumerate(steps.segments):
         t, x, u, lead = steps.t[a:b], steps.x0[a:b], steps.u[a:b], 0
         if steps.run_in is not None:
@@ -424,10 +441,11 @@ def _held(system: System, steps: Steps) -> tuple[Tensor, Tensor, Tensor]:
                 for before, own in ((steps.run_in.t, t), (steps.run_in.x0, x), (steps.run_in.u, u))
             )
             lead = d - c
-        before, after, known = system.held_memory(t, x, u, steps.dt)
-        starts.append(before[lead:])
-        parts.append(after[lead:])
-    return torch.cat(starts), torch.cat(parts), known
+        t, x, u = (part.repeat_interleave(parts, 0) for part in (t, x, u))
+        before, after, known = system.held_memory(t, x, u, steps.dt / parts)
+        starts.append(before[lead * parts :])
+        ends.append(after[lead * parts :])
+    return torch.cat(starts), torch.cat(ends), known
 
 
 def _running_products(step: Tensor) -> Tensor:

@@ -14,6 +14,7 @@ from nsde_torch.inference import LogLikelihood
 from nsde_torch.sde import WithoutNoise, make_step
 from nsde_torch.sde.exponential import exponentials, stiff_change
 from tests.helpers.electric_motors import BACK, DRAG, PULL, CoilMotor, turns
+from tests.helpers.heated_plates import Plate, heated
 from tests.inference.springs import rubbing, small_runs, spring
 
 
@@ -65,6 +66,19 @@ def test_a_motor_whose_current_settles_within_a_row_is_fitted_as_it_is(decay: fl
     for (name, found), std in zip(value.items(), error, strict=True):
         truth = {"pull": PULL, "drag": DRAG, "fast": decay, "decay": decay, "back": decay * BACK}[name]
         assert abs(found - truth) < 3.5 * std + 1e-3 * truth
+
+
+@pytest.mark.parametrize(("effect", "label"), [("actuator_lag", "time_constant"), ("input_delay", "delay")])
+@pytest.mark.parametrize("late", [4.0, 5.0])
+def test_what_acts_late_before_a_node_that_settles_within_a_row_is_as_late_as_it_is(
+    effect: str, label: str, late: float
+) -> None:
+    runs, plate = heated(effect, late), Plate()
+    system = plate.with_effects(plate.make_effect(effect, {label: 0.9 * late}))
+    best = fitted_at(LogLikelihood(system, runs, 1.0), system, None).best
+    found = dict(zip(best.vector.labels, best.theta, strict=True))
+    error = np.sqrt(np.diag(best.spread.covariance))[best.vector.labels.index(f"{effect}.{label}")]
+    assert abs(found[f"{effect}.{label}"] - late) < 3.0 * error + 0.02 * late
 
 
 def test_a_model_of_it_predicts() -> None:

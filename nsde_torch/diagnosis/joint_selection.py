@@ -67,6 +67,7 @@ _NOTHING = 1e-5  # typical sizes of an amplitude that does nothing: starts are s
 # by which states may settle in a step beside an effect: beyond, it is a function of others at once, and only ratios of
 # its numbers are seen. The speed of a small car was one of the command and of the place, by 14,000 1/s at 40 Hz, surely
 _FASTEST = 2.8
+_FAR = 3.0  # times the user's value, or a third of it
 # that say which resonance is the likeliest: an arm of 9,000 that lacks a law had 40 s of hidden masses
 _OF_RESONANCE = 2500
 
@@ -269,9 +270,11 @@ class JointSearch:
             self.declared = self._begun_from(given)
         # without the outliers that were found beside the declared physics
         self._problem = self.declared.at.of
-        space = self._problem.space
-        space.use(self.declared.at.theta)
-        space.fastest = max(_FASTEST, 2.0 * space.speed(self.declared.at.x))
+        speeds = [
+            self._problem.of(one).speed(self.declared.at.x)
+            for one in (self.declared.system, *([] if given is None else [given]))
+        ]
+        self._problem.space.fastest = max(_FASTEST, 2.0 * max(speeds))
 
     def _begun_from(self, given: System) -> FittedPhysics:
         """The declared physics fitted from these values, where that is likelier than from those of least squares.
@@ -510,16 +513,32 @@ class JointSearch:
         doubtful = [p for p in look if p.nats > 0 or p.p < self.search.level("effects")]
         best = best or self._more_once_fitted(place, [p for p in doubtful if p not in tried], few)
         best = best or self._from_afar(place)
-        at_a_bound = len(place.best.free) < len(place.best.vector)
-        afresh = self._given if at_a_bound and place is self.declared else None
+        afresh = self._given if place is self.declared and self._has_learned(place) else None
         return best if afresh is None else self._afresh(afresh, best)
+
+    def _has_learned(self, place: FittedPhysics) -> bool:
+        """Whether a number of the declared physics ends at its bound, or far from what the user gave.
+
+        A heater that settles in 0.5 s settled in 5 s, behind an actuator that lags by 4 s.
+        """
+        if len(place.best.free) < len(place.best.vector):
+            return True
+        if self._given is None:
+            return False
+        given = ParameterVector(self._given)
+        found = dict(zip(place.best.vector.labels, place.best.theta.tolist(), strict=True))
+        known = [
+            (own, found[label])
+            for label, own in zip(given.labels, given.start, strict=True)
+            if label in found
+        ]
+        return any(own and not 1.0 / _FAR < theta / own < _FAR for own, theta in known)
 
     def _afresh(self, given: System, best: FittedPhysics | None) -> FittedPhysics | None:
         """The best so far, or physics with a candidate that is looked for and fitted from the given values.
 
-        Declared physics may have learned what they lack so far that a number ends at its bound. The gain of a servo
-        that swings at 1.5 Hz was 0, beside which nothing that acts on inputs does anything. Which candidate it is, a
-        part of a longer log tells.
+        Declared physics may have learned what they lack (`_has_learned`). The gain of a servo that swings at 1.5 Hz was
+        0, beside which nothing that acts on inputs does anything. Which candidate it is, a part of a longer log tells.
         """
         begun = fitted_at(self._problem.of(given), given, None, turns=1)
         look = looked(self.search, begun, self._frequencies)[:_TRIED]

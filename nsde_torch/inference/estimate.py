@@ -244,6 +244,11 @@ class LogLikelihood:
         out.space.stiff, out.space.fastest = self.space.stiff, self.space.fastest
         return out
 
+    def speed(self, x: Tensor) -> float:
+        """How fast the machine's own states settle in a step, by its first values (`StateSpace.speed`)."""
+        self.space.use(self.vector.inside(self.vector.start))
+        return self.space.speed(x)
+
     def part(self, rows: int) -> Tensor | None:
         """Numbers of chunks, evenly from the log, of which so many rows count; None where that is more than half."""
         chunks = self.space.chunks

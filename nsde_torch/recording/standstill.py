@@ -164,7 +164,12 @@ def _at_ends(run: RawRun, system: SystemInfo) -> Iterator[tuple[str, Array, Mask
         noise = white(column) if j not in paired and len(column) > _MOVING else 0.0
         if noise > _GRAINS * quantum(column) and noise > _FAINT * np.ptp(column):
             held = _repeats(np.diff(column) == 0)
-            yield repr(name), column, held & ((column == column.min()) | (column == column.max()))
+            at_end = (column == column.min()) | (column == column.max())
+            yield (
+                repr(name),
+                column,
+                held & at_end & (column != 0.0),
+            )  # at 0 a car stands, and a tank is empty
 
 
 def _false(same: Mask, changes: Array, rate: Array, steps: Array, fine: float, *, held_rate: bool) -> Mask:

@@ -50,12 +50,13 @@ def test_one_sensor_that_repeats_itself_while_the_other_moves_is_cut_out_by_name
 
 
 @pytest.mark.parametrize(("noise", "found"), [(0.01, ["sensor_end"]), (0.0, [])])
-def test_a_level_without_a_rate_that_stands_at_its_highest_is_the_sensor_s_end(
+def test_a_level_without_a_rate_that_stands_at_its_highest_is_the_sensor_s_end_and_not_at_nothing(
     noise: float, found: list[str]
 ) -> None:
     tank = changed(MSD, state_names=("level",), state_units=("V",), position_derivatives=())
     level = 6.0 + 5.0 * np.sin(0.5 * T) + noise * np.random.default_rng(0).normal(size=len(T))
     level = np.minimum(np.round(level, 4), 10.0)
+    level[:100] = 0.0  # it is empty as the log begins
     data = assemble([RawRun("run", T.copy(), level[:, None], np.sin(7 * T)[:, None])], tank, kind="test")
     ends = [f for f in data.summary.findings if f.kind == "sensor_end"]
     assert [f.kind for f in ends] == found  # of a tank without noise it may be an overflow

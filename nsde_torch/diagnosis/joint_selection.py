@@ -1008,7 +1008,7 @@ def looked(search: Search, place: FittedPhysics, frequencies: Sequence[float] = 
     everything = range(len(place.best.vector))
     about = place.at.about
     along = space.along(about.x, about.after)
-    base = space.columns(about.x, about.slopes, everything, along=along)
+    base = space.columns(about.x, about.slopes, everything, about.after)
     tables, entries, at = [base.float()], list[_Entry](), 1 + base.shape[-1]
     names = candidate_names(place.system, search.candidates)
     for name in names:

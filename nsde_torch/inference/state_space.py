@@ -393,13 +393,13 @@ class StateSpace:
         parts = [slice(first, first + together) for first in range(0, len(middle), together)]
         for rows in parts:  # h A, h B
             slopes[rows] = self._pushed_by(middle[rows], t[rows], memory[rows], u[rows], range(self.n))
-        if isfinite(self.fastest) and self._mostly_stiff and not self._median(slopes) <= self.fastest:
-            slopes.fill_(torch.nan)
         if (later := self._stiff_later(slopes)) is not None:
             after = self.after(x)
             some = slice(None) if self._many else later
             middle = _rows(self.midway(x, after))[some]
             slopes[some] = self._pushed_by(middle, t[some], memory[some], u[some], range(self.n))
+        if isfinite(self.fastest) and self._mostly_stiff and not self._median(slopes) <= self.fastest:
+            slopes.fill_(torch.nan)
         for rows in parts:
             slopes[rows] = self._mean(slopes[rows][..., : self.ne], rows) @ slopes[rows]
         slopes[..., : self.ne] += eye

@@ -298,3 +298,12 @@ def test_unknown_kinds_and_options_list_the_choices_and_values_out_of_range_say_
         read("csv", MSD, path=str(tmp_path), gap=0.001)
     with pytest.raises(ConfigError, match=r"`dt` must be at least 1/1000 of the data's step of 0.01 s"):
         read("csv", MSD, path=str(tmp_path), dt=1e-9)
+
+
+def test_tables_of_the_package_are_in_seconds_whatever_their_steps_look_like(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    for k in range(2):
+        rows = np.column_stack((2.0 * np.arange(200), rng.normal(size=(200, 3))))
+        np.savetxt(tmp_path / f"run_{k}.csv", rows, delimiter=",", header="t,q,q_dot,force", comments="")
+    found = nsde_torch.inspect(tmp_path, system="mass_spring_damper", kind="csv", physics=False)
+    assert [row.rate for row in found.columns] == [0.5] * 3

@@ -7,6 +7,7 @@ for what is linear, however fast it settles. Runge and Kutta's rule is a percent
 is 0.9, and diverges at 2.8. Noise goes through phi_1(h J) g dW, as an average over the step.
 """
 
+import warnings
 from collections.abc import Callable
 from typing import final
 
@@ -99,7 +100,9 @@ def jacobians(rate: Callable[[Tensor], Tensor], x: Tensor) -> Tensor:
 def exact_jacobians(rate: Callable[[Tensor], Tensor], x: Tensor) -> Tensor:
     """The same in any precision, differentiable, at ten times the cost."""
     eye = torch.eye(x.shape[1], dtype=x.dtype, device=x.device)
-    return torch.stack([torch.func.jvp(rate, (x,), (push.expand_as(x),))[1] for push in eye], 2)
+    with warnings.catch_warnings():  # of torch about its own, where it is first asked for one
+        warnings.simplefilter("ignore", DeprecationWarning)
+        return torch.stack([torch.func.jvp(rate, (x,), (push.expand_as(x),))[1] for push in eye], 2)
 
 
 def stiff_change(

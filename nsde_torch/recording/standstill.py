@@ -165,11 +165,8 @@ def _at_ends(run: RawRun, system: SystemInfo) -> Iterator[tuple[str, Array, Mask
         if noise > _GRAINS * quantum(column) and noise > _FAINT * np.ptp(column):
             held = _repeats(np.diff(column) == 0)
             at_end = (column == column.min()) | (column == column.max())
-            yield (
-                repr(name),
-                column,
-                held & at_end & (column != 0.0),
-            )  # at 0 a car stands, and a tank is empty
+            # at 0 a car stands, and a tank is empty
+            yield repr(name), column, held & at_end & (column != 0.0)
 
 
 def _false(same: Mask, changes: Array, rate: Array, steps: Array, fine: float, *, held_rate: bool) -> Mask:

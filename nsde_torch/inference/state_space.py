@@ -310,16 +310,15 @@ class StateSpace:
         return out
 
     def _stiff_step(self, t: Tensor, x: Tensor, memory: Tensor, u: Tensor, moves: Tensor | None) -> Tensor:
-        """See `step`: z' = f(z, m + (s / h - 1/2) moves), of which moves alone do h (phi_2 - phi_1 / 2) df.
+        """See `step`: z' = f(z, m + (s / h - 1/2) moves).
 
         An actuator's lag of 4 s before a node of 0.5 s, logged every 2 s, acted by its mean over the row: 3.3 s.
         """
-        late = t + 0.5 * self.logged_h
-        change = stiff_change(lambda z: self.rate(late, z, memory, u), x, self.h)
+        late, turns = t + 0.5 * self.logged_h, None
         if moves is not None and bool(moves.any()):
             first, last = (self.rate(late, x, memory + share * moves, u) for share in (-0.5, 0.5))
-            one, two, _ = exponentials(self._pushed_by(x, late, memory, u, range(self.ne)))
-            change = change + self.h * ((two - 0.5 * one) @ (last - first)[..., None])[..., 0]
+            turns = last - first
+        change = stiff_change(lambda z: self.rate(late, z, memory, u), x, self.h, turns=turns)
         return self._project(x + change)
 
     @property

@@ -106,15 +106,24 @@ def exact_jacobians(rate: Callable[[Tensor], Tensor], x: Tensor) -> Tensor:
 
 
 def stiff_change(
-    rate: Callable[[Tensor], Tensor], x: Tensor, h: Time, slopes: Tensor | None = None
+    rate: Callable[[Tensor], Tensor],
+    x: Tensor,
+    h: Time,
+    slopes: Tensor | None = None,
+    turns: Tensor | None = None,
 ) -> Tensor:
-    """By how much states (N, n) change over a step of h [s], from their rates, and slopes of these (N, n, n)."""
+    """By how much states (N, n) change over a step of h [s], from their rates, and slopes of these (N, n, n).
+
+    Where inputs move within the step, and the rates by `turns` (N, n) evenly about their mean, these do
+    h (phi_2 - phi_1 / 2) turns.
+    """
     a = h * (jacobians(rate, x) if slopes is None else slopes)
-    one, _, three = exponentials(a, None if slopes is None else _DOUBLED)
+    one, two, three = exponentials(a, None if slopes is None else _DOUBLED)
     before = h * rate(x)
     moved = _times(one, before)
     remainder = h * rate(x + moved) - before - _times(a, moved)
-    return moved + 2.0 * _times(three, remainder)
+    change = moved + 2.0 * _times(three, remainder)
+    return change if turns is None else change + h * _times(two - 0.5 * one, turns)
 
 
 def _times(a: Tensor, x: Tensor) -> Tensor:

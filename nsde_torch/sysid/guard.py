@@ -83,7 +83,7 @@ class Compared:
 
     @property
     def best(self) -> float:
-        """What is left by the best of them: least squares that have gone astray say nothing of the physics.
+        """What is left by the best of them: least squares that diverge say nothing of the physics.
 
         Of a ball above a fan they left 0.26 of 0.13 m/s2, and the right lag was rejected.
         """

@@ -16,7 +16,7 @@ how inputs are held between samples decides. Left out, it makes other effects lo
 """
 
 import copy
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from math import inf, isfinite, log
@@ -70,6 +70,7 @@ _FASTEST = 2.8
 _FAR = 3.0  # times the user's value, or a third of it
 # that say which resonance is the likeliest: an arm of 9,000 that lacks a law had 40 s of hidden masses
 _OF_RESONANCE = 2500
+_COLUMNS = 40  # of candidates that are asked at once
 
 
 @dataclass(frozen=True)
@@ -1004,56 +1005,63 @@ class _Entry:
 @torch.no_grad()
 def looked(search: Search, place: FittedPhysics, frequencies: Sequence[float] = ()) -> Look:
     """What the candidates of a search would explain beside some physics."""
-    space = place.at.of.space
-    everything = range(len(place.best.vector))
-    about = place.at.about
-    along = space.along(about.x, about.after)
-    base = space.columns(about.x, about.slopes, everything, about.after)
-    tables, entries, at = [base.float()], list[_Entry](), 1 + base.shape[-1]
+    space, about = place.at.of.space, place.at.about
     names = candidate_names(place.system, search.candidates)
+    places, base = space.chunks.places(), 1 + place.best.free
+    folds = folds_of(search.decisions, *places)
+    within = {name for name in names if issubclass(effect_class(name), ByRun)}
+    of_runs = folds_of(search.decisions, *places, of_each_run=True) if within else None
+    longest = max(b - a for a, b in space.steps.segments)
+    proposals = list[Explained]()
+    for entries, columns in _side_by_side(search, place, names, frequencies):
+        apart = [slice(entry.columns[0], entry.columns[-1] + 1) for entry in entries]
+        held = grams(space, place.at.levels, about, place.at.at, columns, apart=apart)
+        table = GramTable(held, base, folds)
+        parts = table if of_runs is None else GramTable(held, base, of_runs)
+        best: dict[str, _Step] = {}
+        for entry in entries:
+            of_label = dict(zip(entry.labels, entry.columns[1:], strict=True))
+            for held_at_nothing in alone(entry.name, entry.labels):
+                free = (c for label, c in of_label.items() if label not in held_at_nothing)
+                step = _stepped(parts if entry.name in within else table, entry, (entry.columns[0], *free))
+                if step is not None and (entry.name not in best or step.rank > best[entry.name].rank):
+                    best[entry.name] = step
+        proposals += [
+            _proposed(search, place.system, table, step, len(names), longest) for step in best.values()
+        ]
+    return sorted(proposals, key=lambda p: -p.rank)
+
+
+def _side_by_side(
+    search: Search, place: FittedPhysics, names: Sequence[str], frequencies: Sequence[float]
+) -> Iterator[tuple[list["_Entry"], torch.Tensor]]:
+    """Candidates at each of their starts, a few at a time, and columns (T, C, ne, k) of the physics and then of these.
+
+    Those of a whole catalogue are a hundred times as large as the log: of 6 minutes of flight, 4 GB.
+    """
+    space, about = place.at.of.space, place.at.about
+    along = space.along(about.x, about.after)
+    # in single precision: they are the largest of all
+    base = space.columns(about.x, about.slopes, range(len(place.best.vector)), about.after).float()
+    entries, tables = list[_Entry](), [base]
     for name in names:
         check_time()
         own: LogLikelihood | None = None
         for start in starts(place.system, name, place.at.of.sizes, frequencies):
+            at = 1 + sum(table.shape[-1] for table in tables)
             try:
                 own = own or place.at.of.of(joined(place.system, name, start), space.estimates)
                 entry, columns = _columns(own, place, name, start, along, at)
             except (NsdeError, *_SINGULAR):
                 continue
-            if not bool(torch.isfinite(columns).all()):
-                continue
-            tables.append(columns.float())  # the largest of all: half the memory
-            entries.append(entry)
-            at += columns.shape[-1]
-    apart = [slice(entry.columns[0], entry.columns[-1] + 1) for entry in entries]
-    held = grams(space, place.at.levels, about, place.at.at, _side_by_side(tables), apart=apart)
-    places = space.chunks.places()
-    table = GramTable(held, 1 + place.best.free, folds_of(search.decisions, *places))
-    within = {entry.name for entry in entries if issubclass(effect_class(entry.name), ByRun)}
-    of_runs = folds_of(search.decisions, *places, of_each_run=True) if within else None
-    parts = table if of_runs is None else GramTable(held, 1 + place.best.free, of_runs)
-    best: dict[str, _Step] = {}
-    for entry in entries:
-        of_label = dict(zip(entry.labels, entry.columns[1:], strict=True))
-        for held_at_nothing in alone(entry.name, entry.labels):
-            free = (c for label, c in of_label.items() if label not in held_at_nothing)
-            step = _stepped(parts if entry.name in within else table, entry, (entry.columns[0], *free))
-            if step is not None and (entry.name not in best or step.rank > best[entry.name].rank):
-                best[entry.name] = step
-    longest = max(b - a for a, b in space.steps.segments)
-    beside = place.system
-    proposals = (_proposed(search, beside, table, step, len(names), longest) for step in best.values())
-    return sorted(proposals, key=lambda p: -p.rank)
-
-
-def _side_by_side(tables: list[torch.Tensor]) -> torch.Tensor:
-    """Tables (..., k) in one (..., sum of k); the list is emptied on the way, as both at once may not fit."""
-    ends = np.cumsum([t.shape[-1] for t in tables]).tolist()
-    out = tables[0].new_empty(*tables[0].shape[:-1], ends[-1])
-    for end in reversed(ends):
-        last = tables.pop()
-        out[..., end - last.shape[-1] : end] = last
-    return out
+            if bool(torch.isfinite(columns).all()):
+                tables.append(columns.float())
+                entries.append(entry)
+        if sum(table.shape[-1] for table in tables[1:]) > _COLUMNS:
+            yield entries, torch.cat(tables, -1)
+            entries, tables = [], [base]
+    if entries:
+        yield entries, torch.cat(tables, -1)
 
 
 def _columns(

@@ -1082,7 +1082,6 @@ def _columns(
         alike = [j for j in vector.of(name) if own_name(vector.labels[j]) == key]
         each = value if isinstance(value, list) else [value] * len(alike)
         known |= dict(zip((vector.labels[j] for j in alike), each, strict=True))
-    vector.limit(own.sizes)
     theta, mine = vector.inside(vector.first_values(known)), vector.of(name)
     missing = [j for j, label in enumerate(labels) if label not in vector.labels]
     sizes = vector.sizes(name) if effect_class(name).amplitudes else []

@@ -28,8 +28,9 @@ class Coordinate:
     port: Port
     position: str = ""  # state that is its position; empty where none is logged
     row: int = 0  # row of the port, where that has several
-    kind: str = "joint"
-    """`rail` (along a line), `joint` (an angle within limits), `axis` (turns without end) or `store` (no motion)."""
+    kind: str = ""
+    """`rail` (along a line), `joint` (an angle within limits), `axis` (turns without end) or `store` (no motion);
+    empty: `joint` where its position is an angle, else `rail`."""
     unit: str = ""
     """Unit of the port's row; empty: that of `residual_ports`, or unit of the velocity per second."""
     words: str = ""  # what reports call it: "the cart"; empty: its name

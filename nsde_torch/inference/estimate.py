@@ -274,6 +274,7 @@ class LogLikelihood:
         self.vector = vector = ParameterVector(system)
         vector.follow(steps.dt)
         vector.limit(self.sizes)
+        vector.measure(*steps.some())
         further = vector.raised & (vector.start < vector.low)  # a fit that has come there goes on
         vector.low = np.where(further, 0.5 * vector.start, vector.low)
         inner = self.vector.system
@@ -669,8 +670,7 @@ def _free(vector: ParameterVector, theta: Array, held: Grams) -> Labels:
     """Numbers of the parameters that the data show and that are not pressed against a bound."""
     gram, pull = np.diag(held.total)[1 : 1 + held.parameters], held.total[1 : 1 + held.parameters, 0]
     # a slow store of 3200 s did not move: a second of it shows nothing, and a part of it all
-    own = np.where(vector.moves_memory, np.maximum(vector.scale, np.abs(theta)), vector.scale)
-    size = gram * np.square(own)
+    size = gram * np.square(vector.size(theta))
     shown = size > 1e-12 * max(float(size.max()), 1e-300)
     margin = _AT_BOUND * vector.scale
     pressed = ((theta <= vector.low + margin) & (pull < 0)) | ((theta >= vector.high - margin) & (pull > 0))

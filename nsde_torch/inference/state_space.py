@@ -195,6 +195,11 @@ class StateSpace:
         self.memory, self.begun = self._memory()
         self._moves: Tensor | None = None
 
+    @property
+    def _sizes(self) -> Array:
+        """Sizes of the values in use (k,), of those of each stretch the largest."""
+        return self.vector.size(self.theta.abs().view(-1, len(self.vector)).amax(0).numpy())
+
     def _take(self, theta: Tensor) -> None:
         """Take values for all but memory."""
         self._now, self._many = theta, theta.dim() > 1
@@ -540,9 +545,10 @@ class StateSpace:
         if beside:
             for out, mine, theirs in zip(changes, own, along.rates, strict=True):
                 torch.sub(mine, theirs, out=out[0]).mul_(self.h)
+        sizes = self._sizes
         for i, j in enumerate(which, first):
             remembers = v.moves_memory[j] and v.system.nz > self.nx
-            by = _SHARE * float(v.scale[j])
+            by = _SHARE * float(sizes[j])
             theta = self.theta.clone()
             theta[..., j] += by
             self._take(theta)
@@ -567,8 +573,9 @@ class StateSpace:
         """
         v, base, out = self.vector, self.after(x), list[Tensor]()
         t, flat, u = map(_rows, (self.chunks.t, x, self.chunks.u))
+        sizes = self._sizes
         for j in which:
-            by = _SHARE * float(v.scale[j])
+            by = _SHARE * float(sizes[j])
             theta = self.theta.clone()
             theta[..., j] += by
             self._take(theta)

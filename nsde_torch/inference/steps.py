@@ -36,6 +36,7 @@ from nsde_torch.systems import System
 
 _Stretch = tuple[int, int, int]  # run, first row, last row + 1
 
+_SOME = 100
 MOST = 300_000  # steps that are looked at; of longer data, stretches spread evenly
 _STRETCH = 5_000
 RUN_IN_S, RUN_IN_SHARE = 0.4, 0.1
@@ -75,6 +76,11 @@ class Steps:
         for a, b in self.segments:
             out[a:b] = a
         return out
+
+    def some(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Times (N,), states (N, nx) and inputs (N, nu + n) of at most a hundred steps, evenly from all of them."""
+        rows = torch.linspace(0, len(self) - 1, min(len(self), _SOME)).long()
+        return self.t[rows], self.x0[rows], self.u[rows]
 
     def of(self, stretches: Sequence[int]) -> "tuple[Steps, Tensor]":
         """Those of some segments, by number, and the numbers of these steps."""

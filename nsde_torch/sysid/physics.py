@@ -71,6 +71,7 @@ class Physics:
         self.vector, self.steps, self.curved = vector, steps, curved
         vector.follow(steps.dt)
         vector.limit(data_sizes(vector.system, steps))
+        vector.measure(*steps.some())
         self._lead = _LEAD if foresee else 0
         system = vector.system
         self.names, self.units = list(system.state_names), list(system.state_units)
@@ -141,11 +142,12 @@ class Physics:
         nx = self.vector.system.nx
         numbers = range(len(at)) if which is None else which
         out = np.empty((nx, len(numbers), len(before)))  # of each channel and parameter in one piece
+        sizes = self.vector.size(theta)
         for i, j in enumerate(numbers):
             direction, moved = torch.zeros_like(at), middle
             direction[j] = 1.0
             # differences: forward mode takes ten times as long as the function
-            small = _SMALL * float(self.vector.scale[j])
+            small = _SMALL * float(sizes[j])
             if self.vector.moves_memory[j] and middle.shape[1] > nx:
                 moved = middle.clone()
                 moved[:, nx:] += small * self._memory_slope(at, j)
@@ -343,7 +345,7 @@ class Physics:
     def _memory_slope(self, theta: Tensor, j: int) -> Tensor:
         """Derivative of the memory in the middle of each step (N, nz - nx) in parameter j."""
         # by differences: a loop over time is slow in forward mode, and smooth in theta
-        small = 1e-5 * float(self.vector.scale[j])
+        small = 1e-5 * float(self.vector.size(theta.numpy())[j])
         aside = torch.zeros_like(theta)
         aside[j] = small
         ends = zip(self._memory_at(theta + aside), self._memory_at(theta - aside), strict=True)

@@ -52,7 +52,8 @@ def bound_coordinates(cls: type[System]) -> tuple[Bound, ...]:
         name, words = "" if only else c.name, c.words or ("the motion" if only else c.name)
         of = (("position", where), ("speed", speed), ("force", force))
         place = (position, velocity, c.port, c.row, cls.ports[c.port])
-        out.append(Bound(name, *place, c.kind, of, words, c.load, c.name))
+        kind = c.kind or ("joint" if where in _ANGLES else "rail")
+        out.append(Bound(name, *place, kind, of, words, c.load, c.name))
     return (*(replace(at, chain=_chain(out, at)) for at in out), *_places(cls, out))
 
 
@@ -83,7 +84,7 @@ def _check(c: Coordinate, cls: type[System]) -> None:
         raise ConfigError(
             f"{where}: row {c.row} is not on the port {c.port.value!r}, which has {width} (from 0)."
         )
-    if c.kind not in KINDS:
+    if c.kind and c.kind not in KINDS:
         raise ConfigError(f"{where}: kind {c.kind!r} is none of {', '.join(KINDS)}.")
     if c.load and cls.quantities.get(c.load) != 1:
         raise ConfigError(f"{where}: load {c.load!r} must be one of `quantities`, one column wide.")
@@ -123,8 +124,7 @@ def _only(cls: type[System]) -> tuple[Coordinate, ...]:
     if not pairs:
         return ()
     ((q, v),) = pairs
-    unit = unit_of[q] if q else unit_of[v].partition("/")[0]
-    return (Coordinate(q or v, v, port, position=q, kind="joint" if unit in _ANGLES else "rail"),)
+    return (Coordinate(q or v, v, port, position=q),)
 
 
 def _stores(cls: type[System]) -> tuple[Bound, ...]:

@@ -24,6 +24,7 @@ from nsde_torch.systems.base import System
 # beside no drag, steps of a wind of 1e6 m/s led nowhere (tests/diagnosis/test_named.py)
 _LONGEST = 10.0  # typical sizes of a parameter that one step may go
 InRun = dict[str, Callable[[Tensor], Tensor]]
+_AROUND = 100.0  # times that the usual size of an effect may differ from what makes all that is measured
 _BEYOND = 4.0  # times the grid of a shape, at which it does not matter any more
 _OUTSIDE = 1.5  # times the usual largest place: beyond, a place is in no data
 
@@ -97,7 +98,11 @@ class ParameterVector:
                 self.units += [unit] * k
                 low = -np.inf if spec.low is None else spec.low
                 high = np.inf if spec.high is None else spec.high
-                rows += [(v, low, high, module.scale_of(name), carries) for v in value.tolist()]
+                scale = module.scale_of(name)
+                if not isinstance(module, Effect) and spec.scale is None:
+                    # an inertia of 2e-6 kg m2 had the usual size of 0.1, and no slope
+                    scale = float(np.abs(spec.initial).max()) or scale
+                rows += [(v, low, high, scale, carries) for v in value.tolist()]
             module.__dict__["value"] = _Lookup(own, self._theta, module.in_run)
         if not rows:
             raise ConfigError(
@@ -146,9 +151,13 @@ class ParameterVector:
         margin = np.minimum(1e-6 * self.scale, 1e-3 * (self.high - self.low))
         return np.clip(theta, self.low + margin, self.high - margin)
 
+    def size(self, theta: Array) -> Array:
+        """Sizes of some values (k,): the typical ones, or what they are if that is larger."""
+        return np.maximum(self.scale, np.abs(theta))
+
     def reach(self, theta: Array) -> tuple[Array, Array]:
-        """Bounds of one step from some values (k,): those of the parameters, and ten typical sizes."""
-        most = _LONGEST * np.maximum(self.scale, np.abs(theta))
+        """Bounds of one step from some values (k,): those of the parameters, and ten of their sizes."""
+        most = _LONGEST * self.size(theta)
         low, high = (self.inside(np.full(len(theta), end)) for end in (-np.inf, np.inf))
         return np.maximum(low, theta - most), np.minimum(high, theta + most)
 
@@ -160,6 +169,33 @@ class ParameterVector:
             share = effects[effect].resolved.get(own) if effect in effects else None
             if share is not None:
                 self.low[place.columns] = np.maximum(self.low[place.columns], share * dt)
+
+    @torch.no_grad()
+    def measure(self, t: Tensor, x: Tensor, u: Tensor) -> None:
+        """Keep typical sizes of effects within a hundred times what makes all of the rates in some rows.
+
+        Those of data: times (N,), states (N, nx) and inputs (N, nu + n).
+
+        A voice coil moves 3 mm: its cubic stiffness of 2e8 1/(m2 s2) had a typical size of 1. Slopes in it were
+        rounding, it stayed where it began, 8 % too large, and an inertia that is not there was sure.
+        """
+        system, theta = self.system, torch.as_tensor(self.start)
+        z = system.project(system.augment(x, u))
+        rates = system.drift(t, z, u)[:, : system.nx]
+        whole, effects = rates.square().mean(0).sqrt(), _effects_of(system)
+        for place in self.places:
+            effect, _, own = place.name.partition(".")
+            for j in range(*place.columns.indices(len(self))):
+                if effect not in effects or own not in effects[effect].amplitudes:
+                    continue
+                moved = theta.clone()
+                moved[j] += self.scale[j]
+                self.use(moved)
+                share = (system.drift(t, z, u)[:, : system.nx] - rates).square().mean(0).sqrt() / whole
+                most = float(share[whole > 0].max()) if bool((whole > 0).any()) else 0.0
+                if 0.0 < most < np.inf:
+                    self.scale[j] *= np.clip(1.0, 1.0 / (_AROUND * most), _AROUND / most)
+        self.use(theta)
 
     def limit(self, sizes: Mapping[str, float]) -> None:
         """Narrow the bounds of shapes to a few times the grid of their effect, at these sizes of the data.
@@ -191,6 +227,7 @@ class ParameterVector:
             self.raised[place.columns] = (self.low[place.columns] < least) & (kind is not None)
             self.low[place.columns] = np.maximum(self.low[place.columns], least)
             self.high[place.columns] = np.minimum(self.high[place.columns], size * grid.max() * _BEYOND)
+        self.scale = np.minimum(self.scale, self.high - self.low)
 
     def first_values(self, known: Mapping[str, float]) -> Array:
         """First values (k,), where a label is among these the value there."""

@@ -1,0 +1,91 @@
+"""The same spring in other units of length, and small parameters: what is typical is what the data are like."""
+
+from collections.abc import Mapping
+from typing import final
+
+import numpy as np
+import pytest
+from torch import Tensor
+
+from nsde_torch.data import Run
+from nsde_torch.effects import Parameter, Port
+from nsde_torch.inference import fit
+from nsde_torch.systems import Defaults, ErrorGroup, ResidualPort, System
+from tests.inference.springs import B, G, K, assert_near, spring
+
+CUBIC = "cubic_stiffness.stiffness"
+TRUTH = {G: 1.3, K: 4.0, B: 0.3, CUBIC: 2.0}
+DT, FINE = 0.02, 20
+
+
+def hardening_runs(metres: float) -> list[Run]:
+    """Springs that harden, by small steps of their own; a length of 1 is so many metres in the log."""
+    rng, out = np.random.default_rng(4), []
+    for number in range(2):
+        u = np.repeat(rng.uniform(-2.0, 2.0, 100), 10)
+        x, rows = np.array([0.5, 0.0]), np.empty((len(u), 2))
+        for k, force in enumerate(u):
+            rows[k] = x
+            for _ in range(FINE):
+                v = x[1] + 0.5 * DT / FINE * _force(x, force)
+                x = x + DT / FINE * np.array([v, _force(np.array([x[0] + 0.5 * DT / FINE * x[1], v]), force)])
+        seen = metres * (rows + rng.standard_normal(rows.shape) * (0.002, 0.005))
+        out.append(Run(f"r{number}", DT * np.arange(len(u), dtype=np.float64), seen, u[:, None]))
+    return out
+
+
+def _force(x: np.ndarray, u: float) -> float:
+    return float(TRUTH[G] * u - TRUTH[K] * x[0] - TRUTH[B] * x[1] - TRUTH[CUBIC] * x[0] ** 3)
+
+
+@pytest.mark.parametrize("metres", [1e-4, 1.0, 1e4])
+def test_a_spring_that_hardens_is_fitted_in_any_unit(metres: float) -> None:
+    truth = {**TRUTH, G: TRUTH[G] * metres, CUBIC: TRUTH[CUBIC] / metres**2}
+    first = {**truth, CUBIC: 0.6 * truth[CUBIC]}
+    found = fit(spring("cubic_stiffness", values=first), hardening_runs(metres))
+    assert found.settled
+    assert_near(found, truth)
+
+
+TORQUE, INERTIA, BRAKE = 1e-3, 2e-6, 1e-6
+
+
+@final
+class Rotor(System):
+    """w' = (torque u - brake w) / inertia."""
+
+    name = "rotor"
+    state_names, state_units = ("w",), ("rad/s",)
+    input_names, input_units = ("u",), ("1",)
+    ports = {Port.FORCE: 1}
+    residual_ports = {Port.FORCE: ResidualPort(1, 1.0, "rad/s2")}
+    defaults = Defaults(0.01, 20, (0.1,), 0.1, 1.0, "euler_maruyama")
+    PARAMETERS = {
+        "inertia": Parameter(INERTIA, "kg m2", low=0.0),
+        "brake": Parameter(BRAKE, "N m s", low=0.0),
+    }
+    error_names = state_names
+    error_groups = (ErrorGroup("speed", (0,), "rad/s"),)
+    feature_names, feature_units = state_names, state_units
+
+    def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
+        rate = (TORQUE * u - self.value("brake") * x) / self.value("inertia")
+        return rate + forces[Port.FORCE] if Port.FORCE in forces else rate
+
+    def features(self, x: Tensor) -> Tensor:
+        return x
+
+
+def test_an_inertia_of_a_small_motor_is_fitted() -> None:
+    rng, keep = np.random.default_rng(5), np.exp(-BRAKE / INERTIA * 0.01)
+    u = np.repeat(rng.uniform(-1.0, 1.0, 60), 20)
+    w = np.zeros(len(u))
+    for k in range(len(u) - 1):
+        w[k + 1] = keep * w[k] + (1.0 - keep) * TORQUE / BRAKE * u[k]
+    system = Rotor()
+    system.set_value("inertia", [2.0 * INERTIA])
+    system.set_value("brake", [3.0 * BRAKE])
+    seen = w + 0.05 * rng.standard_normal(len(w))
+    found = fit(system, [Run("r", 0.01 * np.arange(len(u), dtype=np.float64), seen[:, None], u[:, None])])
+    assert found.settled
+    assert_near(found, {"inertia": INERTIA, "brake": BRAKE}, share=0.05)

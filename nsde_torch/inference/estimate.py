@@ -320,7 +320,8 @@ class LogLikelihood:
         x = about.x
         moved = space.error(x[over:], x[:-over]) - over * space.error(about.after[:-over], x[:-over])
         pushed = about.slopes[..., space.ne :].reshape(-1, space.ne, space.nd)
-        return first_levels(torch.stack(fourths, -1), moved.reshape(-1, space.ne), pushed, space.h), about
+        of_steps = moved.reshape(-1, space.ne), pushed, space.h
+        return first_levels(torch.stack(fourths, -1), *of_steps, space.least_sensor), about
 
     @property
     def outliers(self) -> Tensor:

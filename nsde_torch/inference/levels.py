@@ -35,7 +35,7 @@ class Levels:
         return torch.exp(-h / torch.exp(self.lasts))
 
 
-def first_levels(fourth: Tensor, moved: Tensor, pushed: Tensor, h: float) -> Levels:
+def first_levels(fourth: Tensor, moved: Tensor, pushed: Tensor, h: float, least: Tensor) -> Levels:
     """Levels to start from.
 
     Args:
@@ -43,8 +43,9 @@ def first_levels(fourth: Tensor, moved: Tensor, pushed: Tensor, h: float) -> Lev
         moved: What the physics leaves over ten steps (N, channels).
         pushed: What a unit of each disturbance does to these over one step (N, channels, d).
         h: The step [s].
+        least: Logarithms of the least noise of the measured channels (m,): what arithmetic leaves.
     """
-    sensor = fourth.div(FOURTH).sqrt().clamp_min(_LEAST)
+    sensor = torch.maximum(fourth.div(FOURTH).sqrt(), torch.exp(least).clamp_max(_LEAST))
     # no disturbance is larger than what is left of any channel that it moves
     push, left = pushed.square().mean(0).sqrt(), moved.square().mean(0).sqrt()[:, None]
     most = torch.where(push > _MOVES * push.amax(0), left / push, torch.inf).amin(0)

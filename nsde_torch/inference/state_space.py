@@ -28,11 +28,11 @@ from nsde_torch.inference.steps import (
     memory_moves,
 )
 from nsde_torch.rotation import body_rates, turned
-from nsde_torch.sde.exponential import MOSTLY, exponentials, largest, stiff_change, stiff_rows
+from nsde_torch.sde.exponential import MOSTLY, differences, exponentials, largest, stiff_change, stiff_rows
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
 
-_SMALL = 1e-6  # differences of states and disturbances
+_SMALL = 1e-6  # differences of disturbances, and of errors of an attitude
 _AT_ONCE = 8000  # rows that are linearised at once
 _ALIKE, _SOME = 0.999, 500  # cosine of pushes from which one of two is enough, and rows that say so
 # of a parameter's scale: differences. With 1e-7 rounding passed for knowledge of how much all motors have lost, and a
@@ -465,11 +465,14 @@ class StateSpace:
         system, q = self.vector.system, self.vector.system.quaternion
         base = _error_rate(system, x, self.rate(t, x, memory, u))
         out = x.new_empty(len(which), self.ne, len(x))
+        small = x.new_full((self.n,), _SMALL)
+        if q is None:
+            small[: self.ne] = differences(x)
         for i, j in enumerate(which):
             error, there = x.new_zeros(1, self.ne), x
             push: Mapping[Port, Tensor] = {}
             if j < self.ne:
-                error[0, j] = _SMALL
+                error[0, j] = small[j]
                 there = moved(system, x, error)
             else:
                 acts = self.disturbances[j - self.ne : j - self.ne + 1]
@@ -479,7 +482,7 @@ class StateSpace:
             if q is not None:  # e' = w_x - w_y + e x w_y, to first order
                 turns = slice(q.start, q.start + 3)
                 out[i, turns] += torch.linalg.cross(error[:, turns].expand(len(x), 3), base[:, turns]).T
-        return out.mul_(self.h / _SMALL).permute(2, 1, 0).contiguous()
+        return out.mul_(self.h / small[list(which)].view(-1, 1, 1)).permute(2, 1, 0).contiguous()
 
     def along(self, x: Tensor, after: Tensor | None = None) -> "Along":
         """Where slopes in parameters are taken of the steps from states (T, C, nx) to those after them, if known."""

@@ -260,7 +260,7 @@ def data_sizes(system: System, steps: Steps) -> dict[str, float]:
     """
 
     def size(values: Tensor, share: float = 0.95) -> float:
-        return max(float(np.quantile(values.abs().numpy(), share)), _LEAST) if values.numel() else 1.0
+        return (float(np.quantile(values.abs().numpy(), share)) if values.numel() else 1.0) or _LEAST
 
     out = {"input": size(steps.u[:, : system.nu]), "step": steps.dt}
     out |= {kind: size(steps.x0[:, k]) for kind, k in _COLUMNS.items() if k < system.nx}

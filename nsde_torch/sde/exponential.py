@@ -22,7 +22,9 @@ from nsde_torch.sde.step import Step
 # voltage was to turn the other way, and was a torque of its own (tests/inference/test_stiff.py)
 _STIFF = 0.7
 MOSTLY = 0.5  # share of the rows
-_SMALL = 1e-6  # differences of states
+_SMALL = (
+    1e-6  # differences of states whose size is between a thousandth and a thousand, and their share of others
+)
 _DOUBLED = 8  # times a model doubles, as what is traced has no numbers: enough for norms of 128
 _BALANCED = 4  # times that each row and column is made as large as the other
 _TERMS = 10  # of the series, as `matrix_functions.TERMS`
@@ -93,8 +95,15 @@ def _balance(a: Tensor) -> Tensor:
 
 def jacobians(rate: Callable[[Tensor], Tensor], x: Tensor) -> Tensor:
     """Slopes (N, n, n) of the rates of states (N, n) in these, by differences in double precision."""
-    base, eye = rate(x), torch.eye(x.shape[1], dtype=x.dtype)
-    return torch.stack([(rate(x + _SMALL * push) - base) / _SMALL for push in eye], 2)
+    base, small = rate(x), differences(x)
+    return torch.stack([(rate(x + push) - base) / push.sum() for push in torch.diag(small)], 2)
+
+
+def differences(x: Tensor) -> Tensor:
+    """By how much states like some (N, n) are moved for slopes (n,): of 10 um there is none over 1 um."""
+    size = x.abs().amax(0) if len(x) else x.new_zeros(x.shape[1])
+    size = torch.where(size > 0.0, size, 1.0)
+    return _SMALL * torch.minimum(torch.maximum(torch.ones_like(size), 1e-3 * size), 1e3 * size)
 
 
 def exact_jacobians(rate: Callable[[Tensor], Tensor], x: Tensor) -> Tensor:

@@ -1,7 +1,7 @@
 """The step as machine code, compiled ahead of time: one package that holds every stage as a model of its own.
 
-The loops between the stages are those of `step.run`, in Python and in any other host: they compare one number each. As
-operations of one graph (`while_loop`) they do not pass torch.export 2.13 when they are nested.
+The loops between the stages are those of `step.WholeStep`, in Python and in any other host: they compare one number
+each. As operations of one graph (`while_loop`) they do not pass torch.export 2.13 when they are nested.
 
 Code is made for a level of the processor (x86-64-v4 with AVX-512, x86-64-v3 with AVX2) and not for the very one that
 compiles it: what the record says of the processor is then all that has to fit. Of what the compiler leaves behind, the
@@ -9,7 +9,6 @@ package holds what is loaded: no source, no symbols, and no name of a file or fo
 same controller makes the same bytes.
 """
 
-import functools
 import logging
 import os
 import shutil
@@ -29,7 +28,7 @@ from nsde_torch.control.compiled import LEVELS
 from nsde_torch.errors import ExportError
 from nsde_torch.export import container
 from nsde_torch.export.graph import graph_of
-from nsde_torch.export.step import WHOLE, ExportedStep, Loops, Stage, run
+from nsde_torch.export.step import WHOLE, ExportedStep, Loops, Stage, WholeStep
 
 _FUSED = ("finish",)
 """Stages that compile best with columns put together in registers: a rollout, whose steps then are one loop each."""
@@ -163,4 +162,5 @@ def loaded(
         raise ExportError(
             f"its machine code cannot be loaded here ({str(error).splitlines()[0]}). Export it here with format=aoti."
         ) from error
-    return functools.partial(run, stages, Loops(**loops)), stages["predict"]  # type: ignore[arg-type]
+    whole = WholeStep(stages, Loops(**loops))  # type: ignore[arg-type]
+    return torch.no_grad()(whole.step), whole.predict

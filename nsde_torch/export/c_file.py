@@ -77,7 +77,7 @@ def library(path: Path) -> ctypes.CDLL:
 
 @final
 class CController:
-    """A controller in C behind the face of the exported step: `step` and `predict` of tensors, see `step_inputs`."""
+    """A controller in C behind the face of the exported step: `step` and `predict` of tensors, see `step.tensors`."""
 
     def __init__(self, built: ctypes.CDLL, about: Mapping[str, Any]) -> None:
         self._sizes = Sizes(**about["sizes"])
@@ -101,7 +101,7 @@ class CController:
         self._built, self._real = built, number
 
     def step(self, state: Tensor, valid: Tensor, elapsed: Tensor, *rest: Tensor) -> tuple[Tensor, ...]:
-        """See `step_inputs` and `step_outputs`."""
+        """See `step.tensors`."""
         # held by a name while the call looks at them
         given, reference, last, push, memory, before = map(self._given, (state, *rest))
         plan, accepted, late = before.clone(), int(float(valid) > 0.5), self._real(float(elapsed))
@@ -110,7 +110,7 @@ class CController:
         return self._answer(plan)
 
     def predict(self, z: Tensor, u: Tensor, push: Tensor) -> tuple[Tensor]:
-        """See `predict_inputs`."""
+        """See `step.tensors`."""
         after = torch.empty(self._sizes.nz, dtype=self._dtype)
         tables = [*map(self._given, (z, u, push)), after]
         self._built.nsde_predict(*map(_at, tables))

@@ -183,14 +183,9 @@ def record_of(
         "step_s": step.options.dt,
         "latency_s": latency,
         "sizes": asdict(s),
-        **{
-            name: {
-                k: list(map(asdict, getattr(of_step, f"{name}_{k}")(s, units))) for k in ("inputs", "outputs")
-            }
-            for name in ("step", "predict")
-        },
+        **of_step.tensors(s, units),
         "status": list(of_step.status_words(word_at_rest(system))),
-        "loops": asdict(step.loops),
+        "loops": step.loops._asdict(),
         "hover": step.hover_u[0, 0].double().tolist(),
         "ports": {port.value: width for port, width in step.predictor.ports.items()},
         "state_names": list(system.state_names),

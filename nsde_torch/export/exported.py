@@ -75,7 +75,7 @@ class ExportedController:
         self.path = Path(path)
         in_c = c_file.is_c(self.path)
         archive, self.record = (b"", c_file.read(self.path)) if in_c else container.read(self.path)
-        self.step: Function  # the step itself; see `step_inputs` and `step_outputs`
+        self.step: Function  # the step itself; see `step.tensors`
         predict: Function
         try:
             container.check(self.record)
@@ -149,8 +149,7 @@ def _functions(about: dict[str, Any], archive: bytes, path: Path) -> tuple[Funct
     kind = about["kind"]
     if kind == container.TORCHSCRIPT:
         try:
-            step, predict = jit.loaded(archive, ("step", "predict"))
-            return step, predict
+            return jit.loaded(archive)
         except (RuntimeError, AttributeError) as error:
             raise ExportError(f"torch cannot load it ({str(error).splitlines()[0]}). Export anew.") from error
     if kind == container.AOTI:

@@ -9,10 +9,9 @@ is one source of what the controller does. Checks of the state, the shift of the
 are those of `control.controller.Controller`, as arithmetic.
 """
 
-import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import final
+from typing import Any, NamedTuple, final
 
 import torch
 from torch import Tensor, nn
@@ -66,83 +65,63 @@ class Sizes:
         return N_HEAD + self.steps * self.nu + self.particles * (self.steps + 1) * self.nz
 
 
-@dataclass(frozen=True)
-class Entry:
-    """One tensor."""
-
-    name: str  # what it is called
-    shape: tuple[int, ...]  # its axes
-    unit: str  # its unit, or one per column
-    help: str  # what it is
-
-
-_STATE, _PUSH = "m, m/s, 1, rad/s", "m/s2, rad/s2"
-
-
-def step_inputs(s: Sizes, units: str = _STATE) -> tuple[Entry, ...]:
-    """Arguments of `step`, in order; `units` are those of the states."""
-    return (
-        Entry("state", (s.nx,), units, "measured state at the time from which the plan holds"),
-        Entry("valid", (), "1", "0: the state is not reliable, whatever it says"),
-        Entry("elapsed", (), "s", "time since the step that `before` comes from"),
-        Entry("reference", (s.steps, s.nx), units, "states to track at the ends of the steps"),
-        Entry("last", (s.nu,), "1", "inputs that act now; nan: those of the plan before"),
-        Entry("push", (s.nd,), _push(s), "disturbance on the force ports; 0: none"),
-        Entry(
-            "memory", (s.nz - s.nx,), "1", "memory of the model's effects now; nan: stationary under `last`"
-        ),
-        Entry("before", (s.n_plan,), "1", "`after` of the step before; zeros: there was none"),
+def tensors(s: Sizes, units: str = "") -> dict[str, dict[str, list[dict[str, Any]]]]:
+    """What goes into `step` and `predict` and what comes out, in order; `units` are those of the states."""
+    pushed = "m/s2, rad/s2" if s.flies else "those of the rates that it is added to"
+    push = ("push", (s.nd,), pushed, "disturbance on the force ports")
+    flight = (
+        ("rates", (3,), "rad/s", "desired body rates: those that the plan expects one step ahead"),
+        ("thrust", (), "1", "mean of the first commands"),
+        ("lift", (s.steps,), "m/s2", "collective thrust over mass along the body's z axis, by step"),
     )
+    commands = "commands, finite and within bounds; row k holds for the k-th step"
+    rows: dict[str, Sequence[tuple[str, tuple[int, ...], str, str]]] = {
+        "step inputs": (
+            ("state", (s.nx,), units, "measured state at the time from which the plan holds"),
+            ("valid", (), "1", "0: the state is not reliable, whatever it says"),
+            ("elapsed", (), "s", "time since the step that `before` comes from"),
+            ("reference", (s.steps, s.nx), units, "states to track at the ends of the steps"),
+            ("last", (s.nu,), "1", "inputs that act now; nan: those of the plan before"),
+            (*push[:3], f"{push[3]}; 0: none"),
+            (
+                "memory",
+                (s.nz - s.nx,),
+                "1",
+                "memory of the model's effects now; nan: stationary under `last`",
+            ),
+            ("before", (s.n_plan,), "1", "`after` of the step before; zeros: there was none"),
+        ),
+        "step outputs": (
+            ("inputs", (s.steps, s.nu), "1", commands),
+            *(flight if s.flies else ()),
+            ("states", (s.steps + 1, s.nx), units, "states that the plan expects"),
+            ("cost", (), "1", "what the plan costs; infinite for one that stays at rest"),
+            ("gap", (), "1", "estimated share of the cost that a better plan would save"),
+            ("status", (), "1", "number of the word in `status`"),
+            ("iterations", (), "1", "iterations of the solver"),
+            ("after", (s.n_plan,), "1", "the plan, for the next step"),
+        ),
+        "predict inputs": (
+            ("z", (s.nz,), units, "state with the memory of the model's effects"),
+            ("u", (s.nu,), "1", "inputs that act, held"),
+            push,
+        ),
+        "predict outputs": (("z", (s.nz,), units, "the same one sample later"),),
+    }
+    out: dict[str, dict[str, list[dict[str, Any]]]] = {"step": {}, "predict": {}}
+    for name, entries in rows.items():
+        function, _, way = name.partition(" ")
+        keys = ("name", "shape", "unit", "help")
+        out[function][way] = [dict(zip(keys, entry, strict=True)) for entry in entries]
+    return out
 
 
 def first_inputs(s: Sizes, x: Tensor) -> dict[str, Tensor]:
     """Arguments of a first step by name, in order: at a state (nx,), where the machine is to stay."""
-    made = {e.name: torch.zeros(e.shape, dtype=torch.float64) for e in step_inputs(s)}
+    made = {e["name"]: torch.zeros(e["shape"], dtype=torch.float64) for e in tensors(s)["step"]["inputs"]}
     unknown = {name: torch.full_like(made[name], torch.nan) for name in ("last", "memory")}
     valid = torch.ones((), dtype=torch.float64)
     return {**made, **unknown, "state": x.clone(), "reference": x.repeat(s.steps, 1), "valid": valid}
-
-
-def step_outputs(s: Sizes, units: str = _STATE) -> tuple[Entry, ...]:
-    """What `step` returns, in order; `units` are those of the states."""
-    flight = (
-        Entry("rates", (3,), "rad/s", "desired body rates: those that the plan expects one step ahead"),
-        Entry("thrust", (), "1", "mean of the first commands"),
-        Entry("lift", (s.steps,), "m/s2", "collective thrust over mass along the body's z axis, by step"),
-    )
-    return (
-        Entry(
-            "inputs",
-            (s.steps, s.nu),
-            "1",
-            "commands, finite and within bounds; row k holds for the k-th step",
-        ),
-        *(flight if s.flies else ()),
-        Entry("states", (s.steps + 1, s.nx), units, "states that the plan expects"),
-        Entry("cost", (), "1", "what the plan costs; infinite for one that stays at rest"),
-        Entry("gap", (), "1", "estimated share of the cost that a better plan would save"),
-        Entry("status", (), "1", "number of the word in `status`"),
-        Entry("iterations", (), "1", "iterations of the solver"),
-        Entry("after", (s.n_plan,), "1", "the plan, for the next step"),
-    )
-
-
-def predict_inputs(s: Sizes, units: str = _STATE) -> tuple[Entry, ...]:
-    """Arguments of `predict`, in order."""
-    return (
-        Entry("z", (s.nz,), units, "state with the memory of the model's effects"),
-        Entry("u", (s.nu,), "1", "inputs that act, held"),
-        Entry("push", (s.nd,), _push(s), "disturbance on the force ports"),
-    )
-
-
-def predict_outputs(s: Sizes, units: str = _STATE) -> tuple[Entry, ...]:
-    """What `predict` returns."""
-    return (Entry("z", (s.nz,), units, "the same one sample later"),)
-
-
-def _push(s: Sizes) -> str:
-    return _PUSH if s.flies else "those of the rates that it is added to"
 
 
 Stage = Callable[..., Sequence[Tensor]]
@@ -152,8 +131,7 @@ WHOLE = ("begin", "prepare", "active_set", "finish", "end", "predict")
 """The same, with the rollout written out as a part of one stage, to be compiled."""
 
 
-@dataclass(frozen=True)
-class Loops:
+class Loops(NamedTuple):
     """What the loops between the stages go by."""
 
     changes: int  # most changes of the active set in an iteration
@@ -161,7 +139,7 @@ class Loops:
     iterations: int  # most iterations
     tolerance: float  # share of the cost that may be left
     anew: int  # solves between two that start at rest too; 0: none does
-    rest: Sequence[float]  # inputs at rest (nu,)
+    rest: list[float]  # inputs at rest (nu,)
 
 
 @final
@@ -207,13 +185,16 @@ class ExportedStep(nn.Module):
         memory: Tensor,
         before: Tensor,
     ) -> tuple[Tensor, ...]:
-        """From what the step is given (`step_inputs`) to the problem.
+        """From what the step is given (`tensors`) to the problem.
 
         z0 (1, nz), start u (1, K, nu), start z (1, P, K + 1, nz), reference (1, K, nx), last (1, nu), push (1, nd),
         head (6,): see `KNOWN` and the places after it; and the trouble, 0-d.
         """
         s, safety, dtype, inf = self.sizes, self.safety, self.dtype, torch.inf
-        head, old_u, old_z = self._unpacked(before)
+        n = s.steps * s.nu
+        head, u, z = before.split((N_HEAD, n, before.numel() - N_HEAD - n))
+        old_u = u.view(1, s.steps, s.nu).to(dtype)
+        old_z = z.view(1, s.particles, s.steps + 1, s.nz).to(dtype)
         late = torch.where(torch.isfinite(elapsed), elapsed, torch.zeros_like(elapsed)).clamp_min(0.0)
         steps = late / self.options.dt
         u = _shift(old_u, steps).clamp(self.horizon.low, self.horizon.high)
@@ -303,7 +284,7 @@ class ExportedStep(nn.Module):
         head: Tensor,
         trouble: Tensor,
     ) -> tuple[Tensor, ...]:
-        """From the best plan to what leaves, or what takes its place; see `step_outputs`."""
+        """From the best plan to what leaves, or what takes its place; see `tensors`."""
         s, dtype = self.sizes, torch.float64
         safe = (trouble < 0.5) & torch.isfinite(cost).all() & torch.isfinite(found_u).all()
         trouble = torch.where(trouble < 0.5, float(len(TROUBLES)), trouble)
@@ -335,16 +316,9 @@ class ExportedStep(nn.Module):
         return (*plan, own_cost, own_gap, status, iterations.to(dtype), after)
 
     def predict(self, z: Tensor, u: Tensor, push: Tensor) -> tuple[Tensor, ...]:
-        """State with memory (nz,) a sample later; see `predict_inputs`."""
+        """State with memory (nz,) a sample later; see `tensors`."""
         rows = (t.to(self.dtype)[None] for t in (z, u, push))
         return (self.sample(*rows)[0].to(torch.float64),)
-
-    def _unpacked(self, before: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        s = self.sizes
-        n = s.steps * s.nu
-        head, u, z = before.split((N_HEAD, n, before.numel() - N_HEAD - n))
-        u = u.view(1, s.steps, s.nu).to(self.dtype)
-        return head, u, z.view(1, s.particles, s.steps + 1, s.nz).to(self.dtype)
 
     # ---- what is between them ---------------------------------------------------------------------------
 
@@ -361,9 +335,11 @@ class ExportedStep(nn.Module):
             return run
 
         stages = {name: watched(name) for name in names}
-        run(stages, self.loops, *self.first())
+        whole = WholeStep(stages, self.loops)
+        with torch.no_grad():
+            whole.step(*self.first())
         push = torch.zeros(self.sizes.nd, dtype=torch.float64)
-        stages["predict"](self.hover_z[0, 0, 0].double(), self.hover_u[0, 0].double(), push)
+        whole.predict(self.hover_z[0, 0, 0].double(), self.hover_u[0, 0].double(), push)
         return seen
 
     def first(self) -> list[Tensor]:
@@ -375,65 +351,101 @@ class ExportedStep(nn.Module):
         return lambda *arguments: [t.contiguous() for t in getattr(self, name)(*arguments)]
 
 
-@torch.no_grad()
-def run(stages: Mapping[str, Stage], loops: Loops, *given: Tensor) -> tuple[Tensor, ...]:
-    """The step, stage after stage: what every form of it does.
-
-    The stages, those of `STAGES` or of `WHOLE`, are as they are, graphs or compiled; `given` is that of
-    `step_inputs`.
-    """
-    finish = stages["finish"] if "finish" in stages else _composed(stages)
-    z0, start_u, start_z, ref, last, d, head, trouble = stages["begin"](*given)
-    u, z = start_u, start_z
-    cost = gap = torch.full((1,), torch.inf, dtype=u.dtype)
-    iterations = torch.zeros((), dtype=torch.float64)
-    no_step = torch.zeros_like(u).flatten(1)
-
-    def solved(u: Tensor, z: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-        cost = torch.full((1,), torch.inf, dtype=u.dtype)
-        for count in itertools.count(1):
-            quadratic = list(stages["prepare"](z0, u, z, ref, last, d))
-            fixed, (best, least) = quadratic[:5], quadratic[5:]
-            step, slope = no_step, fixed[1]
-            for _ in range(loops.changes):
-                step, slope, best, least, left = stages["active_set"](*fixed, step, slope, best, least)
-                if float(left) <= loops.left:
-                    break
-            before = cost
-            u, z, cost, gap = finish(z0, u, ref, last, d, best, least)
-            if float(left) > loops.left:  # see `GaussNewton.iterate`
-                gap = torch.maximum(gap, saved(before, cost))
-            if float(gap) <= loops.tolerance or count >= loops.iterations:
-                break
-        return u, z, cost, gap, torch.tensor(float(count), dtype=torch.float64)
-
-    if float(trouble) < 0.5:
-        known = float(head[KNOWN]) > 0.5
-        if not known:  # no step at all is as good as its shares: what is left is the rollout
-            z = finish(z0, u, ref, last, d, no_step, torch.zeros_like(cost))[1]
-        u, z, cost, gap, iterations = solved(u, z)
-        if known and loops.anew and int(head[SOLVES]) % loops.anew == 0:
-            rest = torch.tensor(loops.rest, dtype=u.dtype).expand_as(u).contiguous()
-            other = solved(rest, z0[:, None, None].expand_as(z).contiguous())
-            if float(other[2]) < float(cost):
-                u, z, cost, gap, _ = other
-    return tuple(stages["end"](u, z, cost, gap, iterations, z0, start_u, start_z, head, trouble))
-
-
-def _composed(stages: Mapping[str, Stage]) -> Stage:
+class Rollout(nn.Module):
     """`finish` of the stages that it consists of."""
 
-    def finish(
-        z0: Tensor, u: Tensor, ref: Tensor, last: Tensor, d: Tensor, step: Tensor, least: Tensor
-    ) -> Sequence[Tensor]:
-        tried, by_step, z, noise = stages["tries"](z0, u, step)
-        states = [z]
-        for own_u, own_noise in zip(by_step, noise, strict=True):
-            (z,) = stages["advance"](z, own_u, d, own_noise)
-            states.append(z)
-        return stages["choose"](torch.stack(states, 1), tried, ref, last, least)
+    def __init__(self, stages: Mapping[str, Any]) -> None:
+        super().__init__()
+        self.tries, self.advance, self.choose = (stages[name] for name in ("tries", "advance", "choose"))
 
-    return finish
+    def forward(
+        self, z0: Tensor, u: Tensor, ref: Tensor, now: Tensor, d: Tensor, step: Tensor, least: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """u, z, cost, gap of the best share of a step; see `GaussNewton.finish`."""
+        tried, by_step, z, noise = self.tries(z0, u, step)
+        states = [z]
+        for own_u, own_noise in zip(by_step.unbind(0), noise.unbind(0)):  # noqa: B905  (TorchScript has no strict)
+            (z,) = self.advance(z, own_u, d, own_noise)
+            states.append(z)
+        u, z, cost, gap = self.choose(torch.stack(states, 1), tried, ref, now, least)
+        return u, z, cost, gap
+
+
+class WholeStep(nn.Module):
+    """The step, stage after stage: what every form of it does, and TorchScript compiles.
+
+    The stages are those of `STAGES` or of `WHOLE`, as they are, graphs or compiled.
+    """
+
+    def __init__(self, stages: Mapping[str, Any], loops: Loops) -> None:
+        super().__init__()
+        self.begin, self.prepare, self.active_set = (stages[k] for k in ("begin", "prepare", "active_set"))
+        self.finish = stages["finish"] if "finish" in stages else Rollout(stages)
+        self.end, self.foresee = stages["end"], stages["predict"]
+        self.changes, self.left, self.iterations, self.tolerance, self.anew, self.rest = loops
+
+    @torch.jit.export
+    def step(
+        self,
+        state: Tensor,
+        valid: Tensor,
+        elapsed: Tensor,
+        reference: Tensor,
+        last: Tensor,
+        push: Tensor,
+        memory: Tensor,
+        before: Tensor,
+    ) -> Any:  # a tuple; how many tensors depends on the machine
+        """See `tensors`."""
+        z0, start_u, start_z, ref, now, d, head, trouble = self.begin(
+            state, valid, elapsed, reference, last, push, memory, before
+        )
+        u, z = start_u, start_z
+        cost = torch.full((1,), torch.inf, dtype=u.dtype)
+        gap = cost
+        iterations = 0
+        if bool(trouble < 0.5):
+            known = bool(head[0] > 0.5)
+            if not known:  # no step at all is as good as its shares: what is left is the rollout
+                z = self.finish(z0, u, ref, now, d, torch.zeros_like(u).flatten(1), torch.zeros_like(cost))[1]
+            u, z, cost, gap, iterations = self.solved(z0, u, z, ref, now, d)
+            if known and self.anew > 0 and int(head[5]) % max(self.anew, 1) == 0:
+                rest = torch.tensor(self.rest, dtype=u.dtype).expand_as(u)
+                here = z0[:, None, None].expand_as(z)
+                other = self.solved(z0, rest.contiguous(), here.contiguous(), ref, now, d)
+                if bool(other[2] < cost):
+                    u, z, cost, gap = other[:4]
+        count = torch.tensor(float(iterations), dtype=torch.float64)
+        return self.end(u, z, cost, gap, count, z0, start_u, start_z, head, trouble)
+
+    def solved(
+        self, z0: Tensor, u: Tensor, z: Tensor, ref: Tensor, now: Tensor, d: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor, int]:
+        """u, z, cost, gap and the number of iterations of a solve from u and z; see `GaussNewton.iterate`."""
+        cost = torch.full((1,), torch.inf, dtype=u.dtype)
+        gap = cost
+        iterations = 0
+        while iterations < self.iterations and not bool(gap <= self.tolerance):
+            hessian, gradient, low, high, value, best, least = self.prepare(z0, u, z, ref, now, d)
+            step, slope, left = torch.zeros_like(gradient), gradient, torch.full_like(least[0], torch.inf)
+            change = 0
+            while change < self.changes and not bool(left <= self.left):
+                step, slope, best, least, left = self.active_set(
+                    hessian, gradient, low, high, value, step, slope, best, least
+                )
+                change += 1
+            before = cost
+            u, z, cost, gap = self.finish(z0, u, ref, now, d, best, least)
+            if bool(left > self.left):
+                gap = torch.maximum(gap, saved(before, cost))
+            iterations += 1
+        return u, z, cost, gap, iterations
+
+    @torch.jit.export
+    def predict(self, z: Tensor, u: Tensor, push: Tensor) -> tuple[Tensor]:
+        """See `tensors`."""
+        (after,) = self.foresee(z, u, push)
+        return (after,)
 
 
 def packed(plan: Plan, jumped: float, solves: float) -> Tensor:

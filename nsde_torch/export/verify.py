@@ -294,7 +294,7 @@ def attack(
 
 
 def unsafe(answer: Mapping[str, Tensor], low: Tensor, high: Tensor) -> str | None:
-    """What is wrong with an answer by name (`step_outputs`), if anything, by the bounds of its inputs (nu,)."""
+    """What is wrong with an answer by name (`step.tensors`), if anything, by the bounds of its inputs (nu,)."""
     u, status = answer["inputs"], float(answer["status"])
     for name, value in answer.items():
         if name not in ("cost", "gap", "after") and not bool(torch.isfinite(value).all()):

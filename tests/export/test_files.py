@@ -13,7 +13,7 @@ from nsde_torch.control.solve import SolverOptions
 from nsde_torch.errors import ConfigError, ExportError
 from nsde_torch.export import container, verify
 from nsde_torch.export.exported import ExportedController
-from nsde_torch.export.step import STAGES, STATUS, ExportedStep, Stage, run
+from nsde_torch.export.step import STAGES, STATUS, WholeStep
 from nsde_torch.export.write import controller_of, export
 from nsde_torch.models import NeuralSDE
 from nsde_torch.models.run_directory import save
@@ -138,15 +138,12 @@ def test_what_a_file_cannot_hold_is_refused(model: NeuralSDE, run_dir: Path, tmp
     assert not out.exists()
 
 
-def _stages(step: ExportedStep) -> dict[str, Stage]:
-    return {name: step.stage(name) for name in STAGES}
-
-
 def test_a_state_that_is_not_valid_is_bad_whatever_it_says(declared: System) -> None:
     step = step_of(small_controller(declared), declared)
     arguments = step.first()
     arguments[1] = torch.zeros((), dtype=torch.float64)
-    out = run(_stages(step), step.loops, *arguments)
+    with torch.no_grad():
+        out = WholeStep({name: step.stage(name) for name in STAGES}, step.loops).step(*arguments)
     assert STATUS[int(out[7])] == "bad_state:hover"
     assert all(bool(torch.isfinite(out[k]).all()) for k in (0, 1, 2, 3, 4))
 

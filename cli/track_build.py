@@ -256,7 +256,7 @@ def agreed(file: ExportedController, mpc: DictConfig) -> None:
 
     given = settings(*planning(mpc).values())
     plain = settings(*planning(OmegaConf.structured(MpcConfig)).values())
-    kept = settings(file.options, file.solver.options, file.safety)
+    kept = settings(file.options, file.solver, file.safety)
     for name, value in given.items():
         if name not in _NOT_IN_FILES and value not in (plain[name], kept[name]):
             raise ConfigError(

@@ -80,7 +80,7 @@ def run(config: Config, job: Job) -> None:
     with torch.no_grad():
         verify.warm(exported)
         out.memory_mb = (memory, verify.resident_mb())
-    problem, solver, safety = exported.options, exported.solver.options, exported.safety
+    problem, solver, safety = exported.options, exported.solver, exported.safety
     controller = controller_of(
         known, problem=problem, solver=solver, safety=safety, dtype=exported.hover.dtype
     )

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from nsde_torch.control.cascade import Cascade
 from nsde_torch.control.compiled import NoCompiler, compiled_estimator
-from nsde_torch.control.controller import Foresight, Plan, Planner
+from nsde_torch.control.controller import Controller, Foresight, Plan, Planner
 from nsde_torch.control.options import EstimatorOptions
 from nsde_torch.control.predictor import Predictor
 from nsde_torch.control.reference import Reference, StateReference
@@ -172,8 +172,8 @@ class PredictivePilot(Autopilot):
     say: Callable[[str], None] = lambda line: None  # called with one line when something takes long
 
     def __post_init__(self) -> None:
-        model, sample, solver = self.model, self.sample, self.controller.solver
-        self._dtype = self.controller.dtype
+        model, sample, c = self.model, self.sample, self.controller
+        self._dtype = c.dtype
         predictor: Foresight = (
             Predictor(model, dt=sample, dtype=self._dtype) if isinstance(model, Model | System) else model
         )
@@ -186,8 +186,8 @@ class PredictivePilot(Autopilot):
         self._plan: Plan | None = None
         self._commands = self._z = self._d = torch.empty(0)
         self._update: Callable[..., Sequence[Tensor]] = self._estimator
-        if solver.compiled and isinstance(predictor, Predictor):
-            folder = solver.options.cache
+        if isinstance(c, Controller) and c.solver.compiled and isinstance(predictor, Predictor):
+            folder = c.solver.options.cache
             try:
                 self._update = compiled_estimator(self._estimator, predictor, folder=folder, say=self.say)
             except NoCompiler as error:

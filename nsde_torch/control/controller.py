@@ -59,23 +59,6 @@ class Plan:
         return replace(self, u=_shift(self.u, steps), z=_shift(self.z, steps, axis=2), age=self.age + time)
 
 
-def hovering_plan(
-    hover: Tensor,
-    augment: Callable[[Tensor, Tensor], Tensor],
-    system: System,
-    options: ProblemOptions,
-    *,
-    batch: int,
-) -> Plan:
-    """A plan of `batch` rows that stays at the origin, at rest and level, under inputs that hover (nu,)."""
-    u = hover.expand(batch, options.steps, -1).contiguous()
-    x = at_rest(system, u.dtype).repeat(batch, 1)
-    z = augment(x, u[:, 0])[:, None, None].repeat(1, options.particles, options.steps + 1, 1)
-    nothing = u.new_full((batch,), torch.inf)
-    x, status = z[:, 0, :, : system.nx], (word_at_rest(system),) * batch
-    return Plan(u, x, nothing, nothing, status, solve_ms=0.0, iterations=0, dt=options.dt, age=nothing, z=z)
-
-
 def word_at_rest(system: System) -> str:
     """What the last thing that is done about trouble is called."""
     return HOVER if isinstance(system, Multirotor) else REST
@@ -87,21 +70,11 @@ class Planner(Protocol):
     batch: int
     options: ProblemOptions
     hover: Tensor
-
-    @property
-    def dtype(self) -> torch.dtype:
-        """Precision of plans."""
-
-    @property
-    def solver(self) -> SolverFace:
-        """How plans are found."""
+    dtype: torch.dtype
 
     @property
     def predictor(self) -> Foresight:
         """What is known of the machine."""
-
-    def hovering(self) -> Plan:
-        """A plan that hovers."""
 
     @property
     def plan(self) -> Callable[..., Plan]:
@@ -123,13 +96,6 @@ class Foresight(Protocol):
 
     def augment(self, x: Tensor, u: Tensor) -> Tensor:
         """States (N, nx) with the memory that is stationary under inputs (N, nu): (N, nz)."""
-
-
-class SolverFace(Protocol):
-    """What is to be known of a solver."""
-
-    compiled: bool
-    options: SolverOptions
 
 
 @final
@@ -180,8 +146,12 @@ class Controller:
 
     def hovering(self) -> Plan:
         """A plan that hovers, level and at the origin: what there is before the first solve."""
-        p = self.predictor
-        return hovering_plan(self.hover, p.augment, p.system, self.options, batch=self.batch)
+        n, o, system = self.batch, self.options, self.predictor.system
+        u = self.hover.expand(n, o.steps, -1).contiguous()
+        x = at_rest(system, self.dtype).repeat(n, 1)
+        z = self.predictor.augment(x, u[:, 0])[:, None, None].repeat(1, o.particles, o.steps + 1, 1)
+        nothing, status = u.new_full((n,), torch.inf), (self._rest,) * n
+        return Plan(u, z[:, 0, :, : system.nx], nothing, nothing, status, 0.0, 0, o.dt, age=nothing, z=z)
 
     @torch.no_grad()
     def plan(

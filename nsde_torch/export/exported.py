@@ -5,15 +5,13 @@ A file is code and runs when it is called: the hash in its record guards against
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
 
 import torch
 from torch import Tensor, nn
 
-from nsde_torch.control.controller import LATE, Plan, hovering_plan
-from nsde_torch.control.solve import SolverOptions
+from nsde_torch.control.controller import LATE, Plan
 from nsde_torch.effects import Port
 from nsde_torch.errors import ExportError, ShapeError
 from nsde_torch.export import c_file, container, jit
@@ -48,17 +46,9 @@ class Prediction(nn.Module):
         return self.system.augment(x, u)
 
 
-@dataclass
-class _NotCompiled:
-    """In the place of a solver: what is in the file is compiled or not, and nothing else is to be."""
-
-    options: SolverOptions
-    compiled: bool = False
-
-
 @final
 class ExportedController:
-    """A controller out of a file that `nsde export` wrote; `plan` and the attributes are those of `Controller`.
+    """A controller out of a file that `nsde export` wrote; `plan` and its attributes are those of `Controller`.
 
     An ExportError refuses a file that is damaged, changed, of another version or for another processor, or in C where
     there is no compiler.
@@ -85,7 +75,7 @@ class ExportedController:
                 self.step, predict = self.pilot.step, self.pilot.predict
             else:
                 self.step, predict = _functions(self.record, archive, self.path)
-            self.options, solver, self.safety = container.options_of(self.record)
+            self.options, self.solver, self.safety = container.options_of(self.record)
             self.sizes = Sizes(**self.record["sizes"])
             self.known = container.system_of(self.record)
             self.hover = torch.tensor(self.record["hover"], dtype=getattr(torch, self.record["dtype"]))
@@ -94,15 +84,10 @@ class ExportedController:
             raise ExportError(f"{path}: {error}") from error
         except (LookupError, TypeError, ValueError) as error:
             raise ExportError(f"{path}: its record is of another version ({error}). Export anew.") from error
-        self.solver = _NotCompiled(solver)
         self.dtype = self.hover.dtype
         self.predictor = Prediction(predict, self.record, self.known, self.options.dt)
         self.sample = Prediction(predict, self.record, self.known, sample)
         self._jumped = self._solves = 0.0
-
-    def hovering(self) -> Plan:
-        """A plan that hovers, or stays at rest, at the origin: what there is before the first solve."""
-        return hovering_plan(self.hover, self.predictor.augment, self.known, self.options, batch=1)
 
     @torch.no_grad()
     def plan(
@@ -112,9 +97,7 @@ class ExportedController:
         before: Plan | None = None,
         *,
         elapsed: float = 0.0,
-        last: Tensor | None = None,
-        push: Tensor | None = None,
-        memory: Tensor | None = None,
+        **more: Tensor | None,
     ) -> Plan:
         """See `Controller.plan`; ShapeError for wrong axes or columns."""
         s = self.sizes
@@ -123,7 +106,7 @@ class ExportedController:
                 f"`x` must be (batch=1, nx={s.nx}) and `reference` (batch=1, steps={s.steps}, nx={s.nx}); got "
                 f"{tuple(x.shape)} and {tuple(reference.shape)}."
             )
-        given = {"state": x, "reference": reference, "last": last, "push": push, "memory": memory}
+        given = {"state": x, "reference": reference, **more}  # `last`, `push`, `memory`
         arguments = first_inputs(s, x[0].double())
         arguments |= {k: v[0].double().contiguous() for k, v in given.items() if v is not None}
         arguments["elapsed"] = torch.tensor(elapsed, dtype=torch.float64)
@@ -134,8 +117,7 @@ class ExportedController:
         u, *_, states, cost, gap, status, iterations, after = self.step(*arguments.values())
         seconds = time.perf_counter() - started
         self._jumped, self._solves = float(after[JUMPED]), float(after[SOLVES])
-        word, dtype = self.record["status"][int(status)], self.hover.dtype
-        deadline = self.solver.options.deadline
+        word, dtype, deadline = self.record["status"][int(status)], self.dtype, self.solver.deadline
         if ":" not in word and deadline is not None and seconds > deadline:
             word += f":{LATE}"
         z = after[N_HEAD + s.steps * s.nu :].view(1, s.particles, s.steps + 1, s.nz)

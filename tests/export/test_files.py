@@ -79,7 +79,7 @@ def test_a_file_predicts_as_its_model(file: Path, model: NeuralSDE) -> None:
     assert exported.sample.dt == 0.01
     assert exported.sample.ports == controller.predictor.ports
     assert torch.allclose(exported.hover, controller.hover)
-    still = exported.hovering()
+    still = controller.hovering()
     z = exported.sample(still.z[0, 0, :2], still.u[0, :2] + 0.01, torch.zeros(2, 6))
     assert z.shape == (2, 13)
     assert float(z[0, 5]) > 0.0

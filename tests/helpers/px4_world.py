@@ -126,7 +126,7 @@ class World:
             self.endpoint.receive(data, self.now)
         self.endpoint.poll(self.now)
         self.flight.tick(self.now)
-        if self.phase is Phase.TRACK and self.flight.started is not None:
+        if self.phase is Phase.TRACK:
             wanted = self.flight._moved(self.path.at(self.now - self.flight.started).p)
             self.errors.append(distance(self.body.p, wanted))
         self.highest = max(self.highest, self.body.p[2])

@@ -118,10 +118,7 @@ class _OverTheTop:
     def __init__(self, controller: Controller, *, always: bool = False) -> None:
         self.inner, self.always, self.calls = controller, always, 0
         self.options, self.hover, self.batch = controller.options, controller.hover, controller.batch
-        self.dtype, self.solver, self.predictor = controller.dtype, controller.solver, controller.predictor
-
-    def hovering(self) -> Plan:
-        return self.inner.hovering()
+        self.dtype, self.predictor = controller.dtype, controller.predictor
 
     def plan(self, x: torch.Tensor, reference: torch.Tensor, before: Plan | None = None, **more: Any) -> Plan:
         self.calls += 1

@@ -205,7 +205,7 @@ class Recorder:
         at = plus(state.p, home, -1.0)
         if self._log is not None and at[2] > LOGGED_FROM:
             self._log.add(replace(state, p=at), *known)
-        if f.started is None or not tracked:
+        if not tracked:
             return
         # at the time for which the state is valid
         t = state.time - f.started

@@ -157,11 +157,11 @@ class Offboard:
         self.sent: tuple[float, Vec, float] | None = None  # time, rates and throttle that left last
         self._left: deque[tuple[float, Demand]] = deque()
         self._rates: deque[Vec] = deque(maxlen=SETPOINTS)
-        self.started: float | None = None  # when the reference began, on our clock [s]
+        self.started = -inf  # when the reference began, on our clock [s]
         self.ours_until = -inf  # newest time at which the vehicle said that it flies by our setpoints [s]
         self.streaming = False
         self._cascade = SetpointCascade()
-        self._watch: Watch | None = None
+        self._watch = Watch(self.limits, (0.0, 0.0, 0.0))  # another one, once the place of take-off is known
         self._begun = inf  # until the first tick
         self._since = self._asked = self._now = self._last = self._grace = self._arrived = 0.0
         self._fit: bool | None = None  # to fly, and since when
@@ -231,7 +231,7 @@ class Offboard:
         self.outcome.landed = self.endpoint.telemetry.status.landed != d.IN_AIR
         self._silence("disarmed", Phase.DONE)
 
-    # phases, one method each, named like it
+    # phases, one method each, named like it; those in which we fly have a state, or `_supervise` would have ended them
 
     def _in_connect(self, state: VehicleState | None, status: Status) -> None:
         if state is not None and status.heartbeat > -inf:
@@ -288,21 +288,21 @@ class Offboard:
         for line in preflight.warnings(self.endpoint, status, self.path, self.limits):
             self.say(f"           note: {line}")
 
-    def _in_stream(self, state: VehicleState | None, status: Status) -> None:
+    def _in_stream(self, state: VehicleState, status: Status) -> None:
         self.streaming = True
         self._send_first(state)
         if self._elapsed > self.options.idle:
             self._go(Phase.OFFBOARD)
 
-    def _send_first(self, state: VehicleState | None) -> None:
+    def _send_first(self, state: VehicleState) -> None:
         """What PX4 follows when it enters OFFBOARD: nothing on the ground, in the air to stay where it is."""
-        if not self._lifted or state is None:
+        if not self._lifted:
             self._send_idle(0.0)
             return
         self._cascade.reset()
         self._hold_at(Point(state.p, yaw=yaw_of(state.q)), state)
 
-    def _in_offboard(self, state: VehicleState | None, status: Status) -> None:
+    def _in_offboard(self, state: VehicleState, status: Status) -> None:
         self._send_first(state)
         if status.mode == d.OFFBOARD:
             self._go(Phase.HOLD if self._lifted else Phase.ARM)
@@ -323,9 +323,7 @@ class Offboard:
         elif self._every(1.0):
             self.endpoint.command(d.ARM, 1.0)
 
-    def _in_takeoff(self, state: VehicleState | None, status: Status) -> None:
-        if state is None or self.home is None:
-            return
+    def _in_takeoff(self, state: VehicleState, status: Status) -> None:
         o = self.options
         rise = self._elapsed - o.spool
         if rise < 0:
@@ -342,17 +340,15 @@ class Offboard:
                 self._lifted = True
                 self._since = self._now - o.spool - (state.p[2] - self._ground) / o.climb
             elif rise > o.lift:
-                self._disarm_or_land(Trouble("lift", "it does not lift off", Action.LAND), status)
+                self._act(Trouble("lift", "it does not lift off", Action.LAND), state, status)
                 return
-        speed = o.climb if z < top else 0.0
-        self._hold_at(Point((self.home[0], self.home[1], z), (0.0, 0.0, speed), yaw=self._yaw), state)
+        speed, (x, y, _) = o.climb if z < top else 0.0, self._watch.home
+        self._hold_at(Point((x, y, z), (0.0, 0.0, speed), yaw=self._yaw), state)
         if self._lifted and abs(state.p[2] - top) < 0.15 and length(state.v) < 0.4 and z >= top:
             self._go(Phase.HOLD)
 
-    def _in_hold(self, state: VehicleState | None, status: Status) -> None:
+    def _in_hold(self, state: VehicleState, status: Status) -> None:
         """Hover, go to the start of the reference, and wait until the controller plans."""
-        if state is None or self.home is None:
-            return
         start = self.path.at(0.0)
         goal = self._moved(start.p)
         if self._elapsed < self.options.hold:
@@ -376,23 +372,21 @@ class Offboard:
                 kind, text = "solver", "the controller does not plan in time"
             self._act(Trouble(kind, text, Action.HOLD), state, status)
 
-    def _in_track(self, state: VehicleState | None, status: Status) -> None:
-        if state is None or self.started is None:
-            return
-        t = self._now - self.started
-        self.runner.offer(self._own(state), state.time, state.time - self.started, tuple(self._left))
+    def _in_track(self, state: VehicleState, status: Status) -> None:
+        t = state.time - self.started
+        self.runner.offer(self._own(state), state.time, t, tuple(self._left))
         self.runner.collect()
         plan = self.runner.plan
         assert plan is not None  # the reference begins with one
-        trouble = self._tracking_trouble(plan, state, state.time - self.started)
+        trouble = self._tracking_trouble(plan, state, t)
         if trouble is not None:
             self._act(trouble, state, status)
-        elif t > self.path.duration + 0.5:
+        elif self._now - self.started > self.path.duration + 0.5:
             self.outcome.tracked = True
             self._where = self._stop_point(state)
             self._go(Phase.RETURN)
         elif self._late(plan):
-            self._follow_without_plans(state, state.time - self.started)
+            self._follow_without_plans(state, t)
             return
         else:
             self._on_plans = True
@@ -417,7 +411,6 @@ class Offboard:
 
     def _tracking_trouble(self, plan: DemandPlan, state: VehicleState, t: float) -> Trouble | None:
         """Why the controller may not fly on, with the state of a time in the reference [s]."""
-        assert self._watch is not None
         if self.runner.fault is not None:
             return Trouble("solver", f"the controller failed: {self.runner.fault}", Action.HOLD)
         if self._late(plan) and self.outcome.without_plans > self.limits.without_plans:
@@ -428,13 +421,11 @@ class Offboard:
         off = distance(state.p, self._moved(self.path.at(t).p))
         return self._watch.track(off, plan, self._now)
 
-    def _in_return(self, state: VehicleState | None, status: Status) -> None:
+    def _in_return(self, state: VehicleState, status: Status) -> None:
         """Come to rest, and where that is asked for fly back: the next flight then has the same place and fence."""
-        if state is None or self.home is None or self._watch is None:
-            return
         at = goal = self._where.p
         if self.options.come_back:
-            goal = self._watch.inside((self.home[0], self.home[1], self._ground + self.options.height))
+            goal = self._watch.inside((*self._watch.home[:2], self._ground + self.options.height))
         if self._elapsed > REST:
             at = self._towards(at, goal, self.options.approach)
         if at != goal or self._elapsed <= REST:
@@ -443,9 +434,7 @@ class Offboard:
         if self._now > self._arrived and (length(state.v) < 0.4 or self._now - self._arrived > SETTLE):
             self._go(Phase.LAND)
 
-    def _in_safe_hold(self, state: VehicleState | None, status: Status) -> None:
-        if state is None:
-            return
+    def _in_safe_hold(self, state: VehicleState, status: Status) -> None:
         self._hold_at(self._where, state)
         if self._elapsed > self.options.safe_hold:
             self._go(Phase.LAND)
@@ -526,7 +515,6 @@ class Offboard:
             return
         if self.phase not in FLYING:
             return
-        assert self._watch is not None
         if not status.armed:
             self._trouble(Trouble("disarmed", f"it is disarmed: {self._texts(status)}", Action.SILENCE))
             self._finished()
@@ -536,15 +524,15 @@ class Offboard:
             return
         trouble = self._watch.look(state, status, self._now)
         trouble = trouble or self._watch.check_setpoints(followed, self._rates, self.ours_until)
-        self._follow(self._watch)
+        self._note_resets()
         if trouble is None and self._stop:
             trouble = Trouble("stop", "asked to stop", Action.HOLD if self._stop == 1 else Action.LAND)
         if trouble is not None:
             self._act(trouble, state, status)
 
-    def _follow(self, watch: Watch) -> None:
+    def _note_resets(self) -> None:
         """Note resets of the estimate; a heading that is held moves with its estimate, so that nothing turns."""
-        for step in watch.steps:
+        for step in self._watch.steps:
             self.outcome.steps.append((self._now - self._begun, step))
             self.say(
                 f"{self._now - self._begun:7.2f} s  note: the estimate was reset: heading "
@@ -552,7 +540,7 @@ class Offboard:
             )
             self._yaw += step.heading
             self._where = replace(self._where, yaw=self._where.yaw + step.heading)
-        watch.steps.clear()
+        self._watch.steps.clear()
 
     def _supervise_ground(self, state: VehicleState | None, status: Status) -> None:
         """Before the flight every trouble ends it; what may have been armed is disarmed."""
@@ -608,19 +596,13 @@ class Offboard:
         elif trouble.action is Action.BLIND:
             self._go(Phase.BLIND, trouble.text)
         elif not self._lifted:
-            self._disarm_or_land(trouble, status)
-        elif trouble.action is Action.LAND or state is None:
-            if state is not None:
-                self._where = self._stop_point(state)
-            self._go(Phase.LAND, trouble.text)
-        elif self.phase is not Phase.SAFE_HOLD:
+            self._go(Phase.DISARM if status.landed == d.ON_GROUND else Phase.LAND, trouble.text)
+        elif trouble.action is Action.LAND or self.phase is not Phase.SAFE_HOLD:
+            assert state is not None  # or the trouble would be another one
             self._where = self._stop_point(state)
-            self._cascade.reset()
-            self._go(Phase.SAFE_HOLD, trouble.text)
-
-    def _disarm_or_land(self, trouble: Trouble, status: Status) -> None:
-        self._trouble(trouble)
-        self._go(Phase.DISARM if status.landed == d.ON_GROUND else Phase.LAND, trouble.text)
+            if trouble.action is Action.HOLD:
+                self._cascade.reset()
+            self._go(Phase.LAND if trouble.action is Action.LAND else Phase.SAFE_HOLD, trouble.text)
 
     def _hand_back(self, status: Status) -> None:
         """Another mode than ours: whoever chose it has the vehicle."""
@@ -638,17 +620,14 @@ class Offboard:
 
     def _own(self, state: VehicleState) -> tuple[float, ...]:
         """The state in the coordinates of the reference."""
-        assert self.home is not None
-        return (*plus(state.p, self.home, -1.0), *state.row[3:])
+        return (*plus(state.p, self._watch.home, -1.0), *state.row[3:])
 
     def _moved(self, p: Vec) -> Vec:
         """A point of the reference in the world."""
-        assert self.home is not None
-        return plus(p, self.home)
+        return plus(p, self._watch.home)
 
     def _stop_point(self, state: VehicleState) -> Point:
         """Where to hold: where it comes to rest from its speed, inside the fence, above the ground."""
-        assert self._watch is not None
         (x, y, z), (vx, vy, vz) = state.p, state.v
         p = (x + 0.35 * vx, y + 0.35 * vy, max(z + 0.2 * vz, self._ground + 0.5))
         return Point(self._watch.inside(p), yaw=yaw_of(state.q))

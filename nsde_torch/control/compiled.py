@@ -73,10 +73,6 @@ class CompiledMethod:
         self._work = torch.empty(work, dtype=torch.uint8)
         self._tables: tuple[Tensor, ...] = ()
 
-    def start(self, u: Tensor) -> Memory:
-        """Memory before the first iteration: there is none."""
-        return ()
-
     def iterate(self, arguments: Sequence[Tensor], memory: Memory) -> tuple[Iterate, Memory]:
         """Improve plans; see `GaussNewton.iterate`. What it returns is in double precision, u and z until the next."""
         first, n = not memory, len(arguments[0])

@@ -32,7 +32,7 @@ CHANGES = 8  # most changes of the active set in an iteration
 
 
 Memory = tuple[Tensor, ...]
-"""What a method keeps from one iteration to the next."""
+"""What a method keeps from one iteration to the next; nothing before the first."""
 
 
 class Iterate(NamedTuple):
@@ -77,10 +77,6 @@ class GaussNewton(nn.Module):
         # changes of the inputs from step to step, of all inputs
         before = torch.diag(torch.ones(n - horizon.nu, dtype=dtype), -horizon.nu)
         self.register_buffer("change", self.eye - before)
-
-    def start(self, u: Tensor) -> Memory:
-        """Memory before the first iteration: there is none."""
-        return ()
 
     def iterate(self, arguments: Sequence[Tensor], memory: Memory) -> tuple[Iterate, Memory]:
         """Improve plans, with as many changes of the active set as are needed."""
@@ -299,16 +295,12 @@ class AcceleratedGradient(nn.Module):
         self.factors: Tensor
         self.register_buffer("factors", torch.tensor(FACTORS, dtype=horizon.predictor.dtype))
 
-    def start(self, u: Tensor) -> Memory:
-        """Memory before the first iteration."""
-        one = u.new_ones(len(u))
-        return u.clone(), one, FIRST_STEP * one
-
     def iterate(self, arguments: Sequence[Tensor], memory: Memory) -> tuple[Iterate, Memory]:
         """Roll out steps of several sizes, and keep the best plan; see `GaussNewton.iterate`."""
         h = self.horizon
         z0, u, _, ref, last, d = arguments
-        before, counter, size = memory
+        one = u.new_ones(len(u))
+        before, counter, size = memory or (u, one, FIRST_STEP * one)
         n, s = len(u), len(FACTORS) + 1
         later = 0.5 * (1.0 + torch.sqrt(1.0 + 4.0 * counter * counter))
         y = (u + ((counter - 1.0) / later)[:, None, None] * (u - before)).clamp(h.low, h.high)

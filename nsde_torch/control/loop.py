@@ -127,7 +127,7 @@ def summarise(flights: Sequence[Flight], system: System) -> dict[str, Any]:
     kept = [r for r in rows if r["lost_s"] is None]
     out: dict[str, Any] = {"machines": len(rows), "lost": len(rows) - len(kept)}
     if flies:
-        out |= _flown(kept)
+        out |= {k: float(how([r[own] for r in kept])) if kept else None for k, (own, how) in _FLOWN.items()}
     else:
         out |= {
             key: {g.name: float(np.mean([r[key][g.name] for r in kept])) for g in system.error_groups}
@@ -148,18 +148,17 @@ def summarise(flights: Sequence[Flight], system: System) -> dict[str, Any]:
     return out
 
 
-def _flown(kept: Sequence[dict[str, Any]]) -> dict[str, float | None]:
-    """What all flights that were not lost have in common."""
-    of = {"rmse_worst_m": "rmse_m", "roll_pitch_max_deg": "tilt_max_deg"}
-    names = (
-        *("rmse_m", "rmse_worst_m", "position_error_max_m", "altitude_rmse_m", "altitude_error_max_m"),
-        *("attitude_rmse_deg", "speed_max_m_s", "roll_pitch_max_deg"),
-    )
-    out: dict[str, float | None] = {}
-    for name in names:
-        how: Any = np.max if "max" in name or "worst" in name else np.mean
-        out[name] = float(how([r[of.get(name, name)] for r in kept])) if kept else None
-    return out
+_FLOWN: dict[str, tuple[str, Any]] = {
+    "rmse_m": ("rmse_m", np.mean),
+    "rmse_worst_m": ("rmse_m", np.max),
+    "position_error_max_m": ("position_error_max_m", np.max),
+    "altitude_rmse_m": ("altitude_rmse_m", np.mean),
+    "altitude_error_max_m": ("altitude_error_max_m", np.max),
+    "attitude_rmse_deg": ("attitude_rmse_deg", np.mean),
+    "speed_max_m_s": ("speed_max_m_s", np.max),
+    "roll_pitch_max_deg": ("tilt_max_deg", np.max),
+}
+"""What all flights that were not lost have in common, of which number of each of them."""
 
 
 def _runs(flight: Flight, system: System) -> list[dict[str, Any]]:

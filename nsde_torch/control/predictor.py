@@ -203,9 +203,7 @@ class Predictor(nn.Module):
         return s.drift(0.0, z, u, forces)
 
     def eta(self, x: Tensor) -> Tensor:
-        """Distance (N,) of states (N, nx) from the training data; zero for a model that does not know it."""
-        if not self.knows_distance:
-            return x.new_zeros(len(x))
+        """Distance (N,) of states (N, nx) from the training data, of a model that knows it."""
         assert self._learned is not None
         return self._learned.eta(self.system.features(x))
 

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from nsde_torch.control.compiled import CompiledMethod, NoCompiler
-from nsde_torch.control.gauss_newton import AcceleratedGradient, GaussNewton
+from nsde_torch.control.gauss_newton import AcceleratedGradient, GaussNewton, Memory
 from nsde_torch.control.options import SolverOptions
 from nsde_torch.control.problem import Horizon
 from nsde_torch.errors import ConfigError
@@ -94,7 +94,7 @@ class Solver:
         """
         o, started = self.options, self.clock()
         costs: list[Tensor] = []
-        memory = self._method.start(u)
+        memory: Memory = ()
         while True:
             begun = self.clock()
             arguments = (problem.z0, u, z, problem.ref, problem.last, problem.d)

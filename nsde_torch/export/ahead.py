@@ -19,6 +19,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import sympy
 import torch
@@ -51,11 +52,8 @@ def quick_indices() -> Iterator[None]:
                 return plain
         return simplify(expression, *arguments, **options)
 
-    sympy.simplify = quick
-    try:
+    with mock.patch.object(sympy, "simplify", quick):
         yield
-    finally:
-        sympy.simplify = simplify
 
 
 def compiled(step: ExportedStep, *, say: Callable[[str], None]) -> dict[str, bytes]:
@@ -127,22 +125,15 @@ def _built_in(folder: str) -> Iterator[None]:
     """While it lasts, the compiler works in this folder, uses nothing made before, and keeps names to itself."""
     from torch._inductor import cpp_builder
 
-    before, flags = os.environ.get("TORCHINDUCTOR_CACHE_DIR"), cpp_builder._get_optimization_cflags
+    flags = cpp_builder._get_optimization_cflags
 
     def nameless(*arguments: Any, **options: Any) -> tuple[list[str], list[str]]:
         compiling, linking = flags(*arguments, **options)
         return [*compiling, "D__FILE__='\"controller\"'", "Wno-builtin-macro-redefined", "s"], linking
 
-    os.environ["TORCHINDUCTOR_CACHE_DIR"] = folder
-    cpp_builder._get_optimization_cflags = nameless
-    try:
+    own = mock.patch.dict(os.environ, TORCHINDUCTOR_CACHE_DIR=folder)
+    with own, mock.patch.object(cpp_builder, "_get_optimization_cflags", nameless):
         yield
-    finally:
-        cpp_builder._get_optimization_cflags = flags
-        if before is None:
-            del os.environ["TORCHINDUCTOR_CACHE_DIR"]
-        else:
-            os.environ["TORCHINDUCTOR_CACHE_DIR"] = before
 
 
 def loaded(

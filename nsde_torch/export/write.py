@@ -11,7 +11,7 @@ from nsde_torch.control.options import EstimatorOptions
 from nsde_torch.control.predictor import Predictor
 from nsde_torch.control.problem import ProblemOptions
 from nsde_torch.control.solve import SolverOptions
-from nsde_torch.errors import ConfigError, ExportError
+from nsde_torch.errors import ConfigError
 from nsde_torch.export import c_file, container, jit
 from nsde_torch.export.container import AOTI, TORCHSCRIPT, C, record_of
 from nsde_torch.export.step import ExportedStep
@@ -96,6 +96,4 @@ def export(
         from nsde_torch.export.ahead import compiled
 
         members = compiled(step, say=say or (lambda line: None))
-    if not members:
-        raise ExportError("torch wrote an empty archive. Use another version of torch.")
     return container.write(path, members, about)

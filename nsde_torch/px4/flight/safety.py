@@ -166,13 +166,15 @@ class Watch:
             return Trouble("estimate", f"the newest state is {age:.2f} s old", Action.BLIND)
         if now - status.heartbeat > m.heartbeat:
             return Trouble("heartbeat", f"no heartbeat for {now - status.heartbeat:.1f} s", Action.LAND)
-        battery = self._battery(status, now)
-        if battery is not None:
-            return battery
+        low = isfinite(status.remaining) and status.remaining < m.battery
+        weak = isfinite(status.voltage) and status.voltage < m.voltage
+        if self._lasting("battery", low or weak, now, 0.5):
+            text = f"battery at {100 * status.remaining:.0f} % and {status.voltage:.1f} V"
+            return Trouble("battery", text, Action.LAND)
         self._against = contradicted(status.quality, m, now)
         if self._lasting("quality", bool(self._against), now, m.innovation_time):
             return Trouble("quality", f"{self._against}: it may not be where it says", Action.LAND)
-        return self._motion(state, status, now)
+        return self._motion(state, now)
 
     def track(self, off: float, plan: DemandPlan, now: float) -> Trouble | None:
         """What is wrong with how the reference is followed, `off` [m] from it by the newest plan; None: nothing."""
@@ -214,16 +216,7 @@ class Watch:
         text = f"PX4 follows {what}, which was not sent from here: stop the other client that sends setpoints"
         return Trouble("setpoints", text, Action.LAND)
 
-    def _battery(self, status: Status, now: float) -> Trouble | None:
-        m = self.limits
-        low = isfinite(status.remaining) and status.remaining < m.battery
-        weak = isfinite(status.voltage) and status.voltage < m.voltage
-        if not self._lasting("battery", low or weak, now, 0.5):
-            return None
-        text = f"battery at {100 * status.remaining:.0f} % and {status.voltage:.1f} V"
-        return Trouble("battery", text, Action.LAND)
-
-    def _motion(self, state: VehicleState, status: Status, now: float) -> Trouble | None:
+    def _motion(self, state: VehicleState, now: float) -> Trouble | None:
         m = self.limits
         at, speed, tilt = plus(state.p, self.home, -1.0), length(state.v), tilt_of(state.q)
         self._look_for_steps(state)

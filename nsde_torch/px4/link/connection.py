@@ -7,7 +7,6 @@ with open_link("udpin:127.0.0.1:14540") as link:
 
 from __future__ import annotations
 
-import contextlib
 import ipaddress
 import os
 import select
@@ -16,7 +15,7 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from typing import Any, final
 
 from nsde_torch.errors import NsdeError
@@ -33,14 +32,14 @@ STREAM, PLANS = 2, 1
 """Priorities: setpoints and hearing before plans, which take longer, and both before all that is not real-time."""
 
 
-@contextlib.contextmanager
+@contextmanager
 def urgent(priority: int) -> Iterator[bool]:
     """Run this thread before those of a lower priority (SCHED_RR), as far as the system allows that; gives whether.
 
     `PLANS`, which may take a whole core, are not urgent where there is only one: what carries the link runs on others.
     """
     asked = False
-    with contextlib.suppress(OSError, AttributeError):  # not allowed, or not Linux
+    with suppress(OSError, AttributeError):  # not allowed, or not Linux
         if priority == STREAM or len(os.sched_getaffinity(0)) > 1:
             os.sched_setscheduler(0, os.SCHED_RR | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
             asked = True
@@ -227,12 +226,9 @@ def open_transport(url: str, *, expose: bool = False, name: str = "link.url") ->
 
 
 def _loopback(host: str) -> bool:
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
+    with suppress(ValueError):
+        return host == "localhost" or ipaddress.ip_address(host).is_loopback
+    return False
 
 
 def _readable(sock: socket.socket, timeout: float) -> bool:

@@ -5,7 +5,7 @@ Time and bytes come in as arguments, so that the same code flies over sockets an
 
 import threading
 from collections.abc import Callable
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, replace
 from typing import final
 
 from nsde_torch.px4.link import dialect as d
@@ -120,7 +120,8 @@ class Endpoint:
     def status(self) -> Status:
         """What else is known, as a copy."""
         with self.lock:
-            return self.telemetry.snapshot()
+            s = self.telemetry.status
+            return replace(s, texts=s.texts.copy(), parameters=dict(s.parameters))
 
     # saying
 

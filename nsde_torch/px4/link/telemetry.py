@@ -236,11 +236,6 @@ class Telemetry:
             self.rate += 0.05 * (min(1.0 / (now - before.received), 1000.0) - self.rate)
         return True
 
-    def snapshot(self) -> Status:
-        """A copy of the status that stays as it is."""
-        s = self.status
-        return replace(s, texts=s.texts.copy(), parameters=dict(s.parameters))
-
 
 # The autopilot's clock on ours, by TIMESYNC and by the fastest message.
 #

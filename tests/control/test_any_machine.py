@@ -37,17 +37,14 @@ def followed(
     force_time: float = 0.5,
     machines: int = 1,
     noise: float = 0.0,
-    low: float = -10.0,
-    compiled: str = "on",
-    latency: float = 0.0,
 ) -> Flight:
     declared = make_plant_system("cartpole", effects=(), declared_only=True)
     given: dict[str, Any] = {"effects": effects, "process_noise": noise, "sensor_noise": noise}
     g = torch.Generator().manual_seed(3)
-    plant = make_plant("cartpole", generator=g, latency=latency, check=False, **given)
-    problem, solver = problem_of(declared, low=low, high=-low), SolverOptions(compile=compiled)
+    plant = make_plant("cartpole", generator=g, check=False, **given)
+    problem, solver = problem_of(declared, low=-10.0, high=10.0), SolverOptions(compile="on")
     controller = Controller(declared, problem=problem, solver=solver, batch=machines)
-    estimator = EstimatorOptions(force_time=force_time, latency=latency)
+    estimator = EstimatorOptions(force_time=force_time)
     times: dict[str, Any] = {"period": 0.02, "sample": plant.dt, "estimator": estimator}
     pilot = PredictivePilot(controller, declared, reference, **times)
     begin = setpoint(declared, start, duration=1.0).states[0]

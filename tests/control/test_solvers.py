@@ -54,7 +54,7 @@ def test_gauss_newton_finds_the_optimum_of_an_independent_optimiser(
         assert float(found.cost[row]) <= _independent(h, p, row, found.u[row]) * 1.001
 
 
-def test_the_gradient_of_the_quadratic_is_that_of_the_cost(model: NeuralSDE, path: Reference) -> None:
+def test_the_gradients_of_both_methods_are_that_of_the_cost(model: NeuralSDE, path: Reference) -> None:
     paid: dict[str, object] = {"rate_weight": 3.0, "speed_limit": 2.0, "uncertainty_weight": 5.0}
     h = horizon_of(model, input_centre=0.3, particles=2, **paid)
     p = problem_of(h, path, rows=2)
@@ -65,13 +65,6 @@ def test_the_gradient_of_the_quadratic_is_that_of_the_cost(model: NeuralSDE, pat
     _, half, value = GaussNewton(h).quadratic(p.z0, u.detach(), z.detach(), p.ref, p.last, p.d)
     assert torch.allclose(2.0 * half, wanted.flatten(1), rtol=1e-6, atol=1e-6)
     assert torch.allclose(value, cost.detach())
-
-
-def test_the_gradient_put_together_from_slopes_is_that_of_the_cost(model: NeuralSDE, path: Reference) -> None:
-    h = horizon_of(model, rate_weight=3.0, input_centre=0.3, particles=2)
-    p = problem_of(h, path, rows=2)
-    u = torch.rand(2, 20, 6, generator=torch.Generator().manual_seed(3)).double().requires_grad_()
-    (wanted,) = torch.autograd.grad(h.cost(h.rollout(p.z0, u, p.d), u, p.ref, p.last).sum(), u)
     found = AcceleratedGradient(h).gradient(p.z0, u.detach(), p.ref, p.last, p.d)
     assert torch.allclose(found, wanted, rtol=1e-6, atol=1e-6)
 

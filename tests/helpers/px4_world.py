@@ -117,11 +117,15 @@ class World:
     def inject(self, data: bytes) -> None:
         self._queue(self._to_us, [(self.now, data)])
 
-    def tick(self) -> None:
+    def vehicle_alone(self) -> None:
+        """What the vehicle does in a tick."""
         for data in self._due(self._to_vehicle):
             self.vehicle.receive(data)
         for data in self.vehicle.advance((self.now - START) * self.speed):
             self._queue(self._to_us, self.down(data, self.now))
+
+    def tick(self) -> None:
+        self.vehicle_alone()
         for data in self._due(self._to_us):
             self.endpoint.receive(data, self.now)
         self.endpoint.poll(self.now)

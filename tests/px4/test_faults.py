@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from dataclasses import replace
 from math import inf
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -11,15 +10,14 @@ import pytest
 from nsde_torch.control import shapes
 from nsde_torch.px4.flight.cascade import CascadeController, PathPoints
 from nsde_torch.px4.flight.controller import Asked, Demand, DemandPlan, Inline, Runner
-from nsde_torch.px4.flight.flight_log import FlightLog
-from nsde_torch.px4.flight.flying import FlightReport, Recorder
+from nsde_torch.px4.flight.flying import Recorder
 from nsde_torch.px4.flight.safety import Limits, Phase
 from nsde_torch.px4.link import dialect as d
 from nsde_torch.px4.link.dialect import mavlink
 from nsde_torch.px4.options import FlightOptions
 from tests.helpers.fuzzed import hostile
 from tests.helpers.px4_world import (
-    START,
+    TICK,
     Line,
     World,
     corrupted,
@@ -187,15 +185,10 @@ def test_limits_hold_and_land(kind: str, limits: Limits) -> None:
     assert world.safe
 
 
-class _Broken:
-    """A controller that goes wrong after a time."""
-
-    def __init__(self, path: PathPoints, how: Callable[[DemandPlan], DemandPlan], after: float = 1.0) -> None:
-        self._good, self._how, self._after = CascadeController(path), how, after
-
-    def __call__(self, row: tuple[float, ...], time: float, t: float, asked: Asked = ()) -> DemandPlan:
-        plan = self._good(row, time, t)
-        return self._how(plan) if t > self._after else plan
+def _changed(path: PathPoints, how: Callable[[DemandPlan, float], DemandPlan]) -> Inline:
+    """A good controller of a path whose plans are changed, by the time in the reference."""
+    good = CascadeController(path)
+    return Inline(lambda row, time, t, asked=(): how(good(row, time, t), t))
 
 
 def _crash(plan: DemandPlan) -> DemandPlan:
@@ -214,7 +207,8 @@ BROKEN: dict[str, Callable[[DemandPlan], DemandPlan]] = {
 
 @pytest.mark.parametrize("how", BROKEN)
 def test_a_controller_that_breaks_is_replaced_by_holding_and_landing(how: str) -> None:
-    world = World(path=LONG, runner=Inline(_Broken(LONG, BROKEN[how]))).run()
+    breaks = BROKEN[how]
+    world = World(path=LONG, runner=_changed(LONG, lambda plan, t: breaks(plan) if t > 1.0 else plan)).run()
     assert world.trouble.kind == "solver"
     assert "safe hold" in world.phases
     assert world.safe
@@ -231,12 +225,8 @@ TIPS: dict[str, tuple[Callable[[float], bool], bool]] = {
 @pytest.mark.parametrize("when", TIPS)
 def test_plans_that_tip_again_and_again_end_the_flight_and_a_few_do_not(when: str) -> None:
     tips, flown_on = TIPS[when]
-    good = CascadeController(SHORT)
-
-    def plan(row: tuple[float, ...], time: float, t: float, asked: Asked = ()) -> DemandPlan:
-        return replace(good(row, time, t), status="converged:tipped" if tips(t) else "converged")
-
-    world = World(path=SHORT, runner=Inline(plan)).run()
+    runner = _changed(SHORT, lambda p, t: replace(p, status="converged:tipped" if tips(t) else "converged"))
+    world = World(path=SHORT, runner=runner).run()
     assert world.safe
     assert world.flight.outcome.landed
     assert world.flight.outcome.tracked == flown_on
@@ -256,8 +246,7 @@ def test_a_reference_that_is_not_followed_ends_the_flight_if_that_lasts(
     good = CascadeController(path)
 
     def beside(row: tuple[float, ...], time: float, t: float, asked: Asked = ()) -> DemandPlan:
-        side = off if 1.0 < t < 1.0 + lasts else 0.0
-        return good((row[0] - side, *row[1:]), time, t)
+        return good((row[0] - (off if 1.0 < t < 1.0 + lasts else 0.0), *row[1:]), time, t)
 
     world = World(path=path, runner=Inline(beside)).run()
     assert world.safe
@@ -309,10 +298,9 @@ def test_while_plans_are_late_the_built_in_cascade_flies_the_reference() -> None
 @pytest.mark.parametrize(
     ("phase", "times"),
     [
-        (phase, 1)
-        for phase in (Phase.PREFLIGHT, Phase.STREAM, Phase.ARM, Phase.TAKEOFF, Phase.HOLD, Phase.TRACK)
-    ]
-    + [(Phase.TRACK, 2)],
+        *((Phase.PREFLIGHT, 1), (Phase.STREAM, 1), (Phase.ARM, 1), (Phase.TAKEOFF, 1)),
+        *((Phase.HOLD, 1), (Phase.TRACK, 1), (Phase.TRACK, 2)),
+    ],
 )
 def test_asked_to_stop_it_lands_whenever_that_is(phase: Phase, times: int) -> None:
     world = under_way(phase, 0.2 if phase is not Phase.ARM else 0.0, path=SHORT)
@@ -377,28 +365,9 @@ def test_a_vehicle_without_our_key_is_not_flown() -> None:
 
 def _stopped(world: World, seconds: float) -> None:
     """The vehicle goes on, and nothing of ours does, as after SIGSTOP."""
-    for _ in range(round(seconds / 0.01)):
-        for data in world._due(world._to_vehicle):
-            world.vehicle.receive(data)
-        for data in world.vehicle.advance((world.now - START) * world.speed):
-            world._queue(world._to_us, world.down(data, world.now))
-        world.now += 0.01
-
-
-def _recorded(world: World, file: Path, until: Phase, then: float) -> tuple[Recorder, FlightLog]:
-    log = FlightLog(file, 4)
-    recorder = Recorder(world.flight, log)
-    while not (world.phase is until and world.flight._elapsed >= then):
-        world.tick()
-        recorder.look(world.now)
-    return recorder, log
-
-
-def _ended(world: World, recorder: Recorder, log: FlightLog) -> FlightReport:
-    world.run(lambda w: recorder.look(w.now))
-    recorder.look(world.now)
-    with log:
-        return recorder.finish()
+    for _ in range(round(seconds / TICK)):
+        world.vehicle_alone()
+        world.now += TICK
 
 
 def test_a_dead_link_is_called_dead_after_ten_seconds_and_no_longer_waited_on() -> None:
@@ -414,36 +383,37 @@ def test_a_dead_link_is_called_dead_after_ten_seconds_and_no_longer_waited_on() 
     assert world.safe
 
 
-def test_a_stop_of_four_seconds_is_a_gap_and_does_not_bring_px4_back_to_our_setpoints(tmp_path: Path) -> None:
-    world = World(path=LONG)
-    recorder, log = _recorded(world, tmp_path / "flight.csv", Phase.TRACK, 1.0)
+def test_a_stop_of_four_seconds_is_a_gap_and_does_not_bring_px4_back_to_our_setpoints() -> None:
+    world = under_way(Phase.TRACK, 1.0, path=LONG)
+    recorder = Recorder(world.flight, None)
+    recorder.look(world.now)
     _stopped(world, 4.0)
     assert world.vehicle.mode == d.LAND  # its failsafe
     resumed, before = world.now, len(world.setpoints)
-    report = _ended(world, recorder, log)
+    world.run(lambda w: recorder.look(w.now))
+    recorder.look(world.now)
+    report = recorder.finish()
     assert len(world.setpoints) == before
     assert max(report.gaps) == pytest.approx(4.0, abs=0.05)
-    assert report.outcome.trouble.kind == "late"
-    assert "stood still for 4.0" in report.outcome.trouble.text
+    world.ended("late", "stood still for 4.0")
     assert world.safe
     assert world.now > resumed
 
 
-def test_a_short_stop_is_flown_through_once_what_came_meanwhile_is_heard() -> None:
+@pytest.mark.parametrize(("seconds", "flown"), [(0.45, True), (0.7, False)])
+def test_a_stop_shorter_than_px4_waits_is_flown_through_and_a_longer_one_ends_in_silence(
+    seconds: float, flown: bool
+) -> None:
+    """What came meanwhile is heard first, and our own limit is longer than PX4 waits here."""
     world = under_way(Phase.TRACK, 1.0, path=LONG, parameters={"COM_OF_LOSS_T": 0.5})
-    _stopped(world, 0.45)
-    world.run()
-    assert world.flown, world.says
-
-
-def test_a_stop_longer_than_px4_waits_ends_in_silence_though_shorter_than_our_own_limit() -> None:
-    world = under_way(Phase.TRACK, 1.0, path=LONG, parameters={"COM_OF_LOSS_T": 0.5})
-    _stopped(world, 0.7)
+    _stopped(world, seconds)
     before = len(world.setpoints)
     world.run()
-    assert len(world.setpoints) == before
-    assert world.trouble.kind == "late"
     assert world.safe
+    assert world.flown == flown, world.says
+    if not flown:
+        assert len(world.setpoints) == before
+        assert world.trouble.kind == "late"
 
 
 def test_a_flight_goes_on_through_hostile_bytes_as_if_there_were_none() -> None:

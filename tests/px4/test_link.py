@@ -7,10 +7,9 @@ import time
 import tty
 
 import pytest
-from pymavlink.generator.mavcrc import x25crc
 
 from nsde_torch.errors import ConfigError
-from nsde_torch.px4.link.codec import BUDGET, Codec, crc16, signing_key
+from nsde_torch.px4.link.codec import BUDGET, Codec, signing_key
 from nsde_torch.px4.link.connection import Link, LinkError, Serial, UdpIn, UdpOut, open_transport
 from nsde_torch.px4.link.dialect import mavlink
 from nsde_torch.px4.link.endpoint import WANTED
@@ -81,13 +80,6 @@ KEY = bytes(range(32))
 
 
 HEARTBEAT = mavlink.MAVLink_heartbeat_message(2, 12, 1, 0, 4, 3)
-
-
-def test_the_checksum_is_mavlinks() -> None:
-    data = random.Random(0).randbytes(200)
-    reference = x25crc(data)
-    reference.accumulate(bytes((77,)))
-    assert crc16(data, 77) == reference.crc
 
 
 def test_frames_come_through_whole_in_pieces_and_in_one_go() -> None:

@@ -22,8 +22,14 @@ from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.systems.multirotor import GRAVITY
 
 
-def _phase(duration: float, ramp: float, rate: float) -> Array:
-    """f, f', f'' (3, n) on the grid: from rest to `rate` [rad/s], and back to rest, over `ramp` [s] each."""
+def _phase(name: str, o: CircleOptions | LemniscateOptions, rate: float) -> Array:
+    """f, f', f'' (3, n) on the grid: from rest to `rate` [rad/s], and back to rest, over a ramp each."""
+    duration, ramp = o.duration, o.ramp
+    if duration < 2.0 * ramp:
+        raise ConfigError(
+            f"reference {name!r}: `duration`={duration:g} s is shorter than two ramps of {ramp:g} s. Give "
+            "more time, or a shorter `ramp`."
+        )
     t = GRID * np.arange(round(duration / GRID) + 1)
     s = np.clip(np.minimum(t, t[-1] - t) / ramp, 0.0, 1.0)
     sign = np.where(t < 0.5 * t[-1], 1.0, -1.0)
@@ -37,22 +43,13 @@ def _phase(duration: float, ramp: float, rate: float) -> Array:
     return np.stack((rate * f, rate * rise, rate * slope))
 
 
-def _check_ramps(name: str, duration: float, ramp: float) -> None:
-    if duration < 2.0 * ramp:
-        raise ConfigError(
-            f"reference {name!r}: `duration`={duration:g} s is shorter than two ramps of {ramp:g} s. Give "
-            "more time, or a shorter `ramp`."
-        )
-
-
 def circle(**sizes: float) -> FlightPath:
     """A circle at constant speed, while the heading turns once to `yaw` and back, of the sizes of `CircleOptions`.
 
     ConfigError: a size is out of its range, or the flight is shorter than its two ramps.
     """
     o = CircleOptions(**sizes)
-    _check_ramps("circle", o.duration, o.ramp)
-    f, df, ddf = _phase(o.duration, o.ramp, o.speed / o.radius)
+    f, df, ddf = _phase("circle", o, o.speed / o.radius)
     c, s, zero = np.cos(f), np.sin(f), np.zeros_like(f)
     p = np.stack((o.radius * c, o.radius * s, zero + o.height), 1)
     v = np.stack((-o.radius * s * df, o.radius * c * df, zero), 1)
@@ -68,8 +65,7 @@ def lemniscate(**sizes: float) -> FlightPath:
     ConfigError: a size is out of its range, or the flight is shorter than its two ramps.
     """
     o = LemniscateOptions(**sizes)
-    _check_ramps("lemniscate", o.duration, o.ramp)
-    f, df, ddf = _phase(o.duration, o.ramp, o.speed / float(np.hypot(o.length, o.width)))
+    f, df, ddf = _phase("lemniscate", o, o.speed / float(np.hypot(o.length, o.width)))
     c, s, c2, s2, zero = np.cos(f), np.sin(f), np.cos(2 * f), np.sin(2 * f), np.zeros_like(f)
     p = np.stack((o.length * s, 0.5 * o.width * s2, zero + o.height), 1)
     v = np.stack((o.length * c * df, o.width * c2 * df, zero), 1)

@@ -8,14 +8,15 @@ import pytest
 import torch
 
 from nsde_torch.control.compiled import compiler
-from nsde_torch.control.controller import ANEW, Controller, SafetyOptions
+from nsde_torch.control.controller import ANEW, Controller
 from nsde_torch.control.problem import problem_of
 from nsde_torch.control.reference import setpoint
 from nsde_torch.control.solve import SolverOptions
 from nsde_torch.export import verify
 from nsde_torch.export.exported import ExportedController
-from nsde_torch.export.write import controller_of, export
+from nsde_torch.export.write import controller_of
 from nsde_torch.systems import System, make_plant_system
+from tests.helpers.exported import made_with, written
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
 HANGING, UP = {"theta": 3.1}, {"theta": 0.0}
@@ -27,15 +28,13 @@ def cart() -> System:
     return make_plant_system("cartpole", declared_only=True)
 
 
-def exported(cart: System, path: Path, kind: str) -> tuple[ExportedController, Controller]:
-    options = {
-        "problem": problem_of(cart, low=-10.0, high=10.0),
-        "solver": SolverOptions(iterations=4),
-        "safety": SafetyOptions(),
-        "dtype": torch.float64,
-    }
-    export(cart, path, kind=kind, sample=0.01, period=0.02, latency=0.0, **options)  # type: ignore[arg-type]
-    return ExportedController(path), controller_of(cart, **options)  # type: ignore[arg-type]
+def exported(
+    known: System, path: Path, kind: str = "c", *, name: str | None = None, **ends: Any
+) -> tuple[ExportedController, Controller]:
+    made = {**made_with(), "problem": problem_of(known, **(ends or {"low": -10.0, "high": 10.0}))}
+    made["solver"] = SolverOptions(iterations=4)
+    file = ExportedController(written(known, path, kind=kind, name=name, latency=0.0, **made))
+    return file, controller_of(known, **made)
 
 
 @pytest.mark.parametrize(
@@ -72,14 +71,8 @@ def test_a_swing_up_is_planned_as_in_python_also_anew_from_rest_and_in_trouble(
 @pytest.mark.slow
 def test_each_input_has_limits_of_its_own_in_a_file_too(tmp_path: Path) -> None:
     arm = make_plant_system(ARM)
-    ends = {"low": (-4.0, -0.5), "high": (4.0, 1.0)}
-    problem = problem_of(arm, **ends)
-    made: dict[str, Any] = {"problem": problem, "solver": SolverOptions(iterations=4)}
-    made |= {"safety": SafetyOptions(), "dtype": torch.float64}
-    times: dict[str, Any] = {"sample": 0.01, "period": 0.02, "latency": 0.0}
-    export(arm, tmp_path / "arm.c", name=ARM, kind="c", **times, **made)
-    file, controller = ExportedController(tmp_path / "arm.c"), controller_of(arm, **made)
-    assert file.options == problem
+    file, controller = exported(arm, tmp_path / "arm.c", name=ARM, low=(-4.0, -0.5), high=(4.0, 1.0))
+    assert file.options == controller.options
     path, out = setpoint(arm, {}, duration=2.0), verify.Verification()
     x, ahead = torch.tensor([1.0, 1.0, -6.0, 6.0], dtype=torch.float64), path.window(0.0, dt=0.05, steps=20)
     verify.compare(file, controller, [(x, ahead)] * 3, out, elapsed=0.02)
@@ -94,7 +87,7 @@ def test_each_input_has_limits_of_its_own_in_a_file_too(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("precision", ["NSDE_DOUBLE", "NSDE_FLOAT"])
 def test_the_file_in_c_compiles_without_a_warning(cart: System, tmp_path: Path, precision: str) -> None:
-    exported(cart, tmp_path / "cart.c", "c")
+    exported(cart, tmp_path / "cart.c")
     flags = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Werror", f"-D{precision}")
     subprocess.run([str(compiler()), *flags, "-c", "cart.c", "-o", "cart.o"], cwd=tmp_path, check=True)
     header = (tmp_path / "cart.h").read_text()
@@ -104,7 +97,7 @@ def test_the_file_in_c_compiles_without_a_warning(cart: System, tmp_path: Path, 
 
 
 def test_a_file_stands_numbers_that_no_sensor_should_send(cart: System, tmp_path: Path) -> None:
-    file, _ = exported(cart, tmp_path / "cart.c", "c")
+    file, _ = exported(cart, tmp_path / "cart.c")
     out = verify.Verification()
     verify.attack(file, setpoint(cart, UP, duration=2.0), 400, out)
     assert out.adversarial == 400

@@ -15,32 +15,23 @@ from torch import Tensor
 from nsde_torch.control.autopilots import EstimatorOptions, PredictivePilot
 from nsde_torch.control.codegen import scalar
 from nsde_torch.control.compiled import compiler
-from nsde_torch.control.controller import SafetyOptions
 from nsde_torch.control.predictor import Predictor
-from nsde_torch.control.problem import ProblemOptions
 from nsde_torch.control.reference import Reference
-from nsde_torch.control.solve import SolverOptions
 from nsde_torch.effects.registry import effects_of
 from nsde_torch.errors import ExportError
 from nsde_torch.export import c_file, verify
 from nsde_torch.export.exported import ExportedController
 from nsde_torch.export.step import STATUS
-from nsde_torch.export.write import controller_of, export
+from nsde_torch.export.write import controller_of
 from nsde_torch.models import NeuralSDE, SDESpec
 from nsde_torch.systems import Multirotor, System, make_system
-from tests.helpers.exported import all_kinds, flight, word_of
+from tests.helpers.exported import all_kinds, flight, made_with, word_of, written
 from tests.helpers.hexacopters import VALUES
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
 WARNINGS = ("-Wall", "-Wextra", "-Wpedantic", "-Werror")
-SMALL = {"horizon": 0.3, "steps": 6}
 ESTIMATOR = EstimatorOptions(latency=0.04, force_time=0.3, moment_time=0.2)
-MADE_WITH: dict[str, Any] = {
-    "problem": ProblemOptions(horizon=0.3, steps=6),
-    "solver": SolverOptions(compile="off", iterations=3, tolerance=5e-3),
-    "safety": SafetyOptions(),
-    "dtype": torch.float64,
-}
+MADE_WITH = made_with()
 
 
 def _run(*words: str) -> str:
@@ -50,23 +41,14 @@ def _run(*words: str) -> str:
     return done.stdout
 
 
-def _written(
-    known: NeuralSDE | System, path: Path, *, dtype: torch.dtype = torch.float64, **options: object
-) -> dict[str, object]:
-    """Writes a controller of 6 steps; returns what its like in Python is made with."""
-    given = {**MADE_WITH, "problem": ProblemOptions(**{**SMALL, **options}), "dtype": dtype}  # type: ignore[arg-type]
-    times = {"sample": 0.01, "period": 0.02, "latency": 0.04, "estimator": ESTIMATOR}
-    export(known, path, kind="c", **given, **times)  # type: ignore[arg-type]
-    return given
-
-
 def _compared(
     known: NeuralSDE | System, folder: Path, path: Reference, states: int, **options: object
 ) -> verify.Verification:
     """What C and Python make of states along a path."""
     file, out = folder / "controller.c", verify.Verification()
-    given = _written(known, file, **options)  # type: ignore[arg-type]
-    controller, exported = controller_of(known, **given), ExportedController(file)  # type: ignore[arg-type]
+    given = made_with(**options)  # type: ignore[arg-type]
+    controller = controller_of(known, **given)
+    exported = ExportedController(written(known, file, kind="c", estimator=ESTIMATOR, **given))
     verify.compare(exported, controller, verify.along(exported, path, states, period=0.02), out, elapsed=0.02)
     return out
 
@@ -77,8 +59,7 @@ def file(declared: System, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("c") / "controller.c"
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("SOURCE_DATE_EPOCH", "0")
-        _written(declared, path)
-    return path
+        return written(declared, path, kind="c", estimator=ESTIMATOR, **MADE_WITH)
 
 
 # ---- expressions ----------------------------------------------------------------------------------------
@@ -203,7 +184,7 @@ def test_the_header_says_what_a_user_has_to_know_and_the_same_controller_makes_t
     assert record["estimator"]["force_time"] == 0.3
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "0")
     again = tmp_path / "controller.c"
-    _written(declared, again)
+    written(declared, again, kind="c", estimator=ESTIMATOR, **MADE_WITH)
     assert again.read_bytes() == file.read_bytes()
     assert again.with_suffix(".h").read_text() == header
 

@@ -6,25 +6,19 @@ from pathlib import Path
 import pytest
 import torch
 
-from nsde_torch.control.controller import SafetyOptions
-from nsde_torch.control.problem import ProblemOptions
 from nsde_torch.control.reference import Reference
 from nsde_torch.control.solve import SolverOptions
 from nsde_torch.errors import ConfigError, ExportError
 from nsde_torch.export import container, verify
 from nsde_torch.export.exported import ExportedController
 from nsde_torch.export.step import STAGES, STATUS, WholeStep
-from nsde_torch.export.write import controller_of, export
+from nsde_torch.export.write import controller_of
 from nsde_torch.models import NeuralSDE
 from nsde_torch.models.run_directory import save
 from nsde_torch.systems import System
-from tests.helpers.exported import small_controller, step_of
+from tests.helpers.exported import made_with, step_of, written
 
-OPTIONS = {
-    "problem": ProblemOptions(horizon=0.3, steps=6),
-    "solver": SolverOptions(compile="off", iterations=3, tolerance=5e-3),
-    "safety": SafetyOptions(),
-}
+OPTIONS = made_with(dtype=torch.float32)
 
 
 @pytest.fixture(scope="module")
@@ -35,18 +29,12 @@ def run_dir(model: NeuralSDE, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def _export(model: NeuralSDE, run_dir: Path, path: Path, **options: object) -> Path:
-    given = {**OPTIONS, "run": run_dir, "sample": 0.01, "period": 0.02, "latency": 0.04, **options}
-    export(model, path, **given)  # type: ignore[arg-type]
-    return path
-
-
 @pytest.fixture(scope="module")
 def file(model: NeuralSDE, run_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("file")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("SOURCE_DATE_EPOCH", "0")
-        return _export(model, run_dir, folder / "controller.ts")
+        return written(model, folder / "controller.ts", run=run_dir, **OPTIONS)
 
 
 @pytest.mark.slow
@@ -54,7 +42,7 @@ def test_a_file_plans_as_its_controller_and_stands_whatever_it_is_given(
     file: Path, model: NeuralSDE, path: Reference
 ) -> None:
     exported, out = ExportedController(file), verify.Verification()
-    controller = controller_of(model, **OPTIONS, dtype=torch.float32)  # type: ignore[arg-type]
+    controller = controller_of(model, **OPTIONS)
     samples = verify.along(exported, path, 100, period=0.02)
     verify.compare(exported, controller, samples, out, elapsed=0.02)
     verify.attack(exported, path, 300, out)
@@ -75,7 +63,7 @@ def test_what_differs_and_what_is_unsafe_fails() -> None:
 
 def test_a_file_predicts_as_its_model(file: Path, model: NeuralSDE) -> None:
     exported = ExportedController(file)
-    controller = controller_of(model, **OPTIONS, dtype=torch.float32)  # type: ignore[arg-type]
+    controller = controller_of(model, **OPTIONS)
     assert exported.sample.dt == 0.01
     assert exported.sample.ports == controller.predictor.ports
     assert torch.allclose(exported.hover, controller.hover)
@@ -129,25 +117,22 @@ def test_files_that_were_changed_or_are_of_another_version_are_refused(file: Pat
     _refused(bad, "no exported controller")
 
 
-def test_what_a_file_cannot_hold_is_refused(model: NeuralSDE, run_dir: Path, tmp_path: Path) -> None:
+def test_what_a_file_cannot_hold_is_refused(declared: System, tmp_path: Path) -> None:
     out = tmp_path / "c.ts"
     with pytest.raises(ConfigError, match="needs a clock"):
-        _export(model, run_dir, out, solver=SolverOptions(deadline=0.01))
+        written(declared, out, **{**OPTIONS, "solver": SolverOptions(deadline=0.01)})
     with pytest.raises(ConfigError, match="torchscript, aoti or c"):
-        _export(model, run_dir, out, kind="onnx")
+        written(declared, out, kind="onnx", **OPTIONS)
+    with pytest.raises(ConfigError, match="gauss_newton"):
+        written(declared, out, **made_with(solver="apg"))
     assert not out.exists()
 
 
 def test_a_state_that_is_not_valid_is_bad_whatever_it_says(declared: System) -> None:
-    step = step_of(small_controller(declared), declared)
+    step = step_of(controller_of(declared, **OPTIONS), declared)
     arguments = step.first()
     arguments[1] = torch.zeros((), dtype=torch.float64)
     with torch.no_grad():
         out = WholeStep({name: step.stage(name) for name in STAGES}, step.loops).step(*arguments)
     assert STATUS[int(out[7])] == "bad_state:hover"
     assert all(bool(torch.isfinite(out[k]).all()) for k in (0, 1, 2, 3, 4))
-
-
-def test_what_cannot_be_exported_is_refused(declared: System) -> None:
-    with pytest.raises(ConfigError, match="gauss_newton"):
-        step_of(small_controller(declared, solver="apg"), declared)

@@ -1,36 +1,42 @@
 """Small controllers for the tests of the export, and a flight with every kind of trouble."""
 
 from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 from torch import Tensor
 
-from nsde_torch.control.controller import Controller, Plan
+from nsde_torch.control.controller import Controller, Plan, SafetyOptions
 from nsde_torch.control.predictor import Predictor
 from nsde_torch.control.problem import ProblemOptions
 from nsde_torch.control.reference import Reference
 from nsde_torch.control.solve import SolverOptions
 from nsde_torch.export.step import N_HEAD, STATUS, ExportedStep, packed
+from nsde_torch.export.write import export
 from nsde_torch.models import NeuralSDE
 from nsde_torch.systems import System
 
 SAMPLE = 0.01
 
 
-def small_controller(
-    knowledge: NeuralSDE | System,
-    *,
-    dtype: torch.dtype = torch.float64,
-    solver: str = "gauss_newton",
-    **options: object,
-) -> Controller:
-    return Controller(
-        knowledge,
-        problem=ProblemOptions(**{"horizon": 0.3, "steps": 6, **options}),  # type: ignore[arg-type]
-        solver=SolverOptions(name=solver, compile="off", iterations=3, tolerance=5e-3),
-        dtype=dtype,
-    )
+def made_with(
+    *, dtype: torch.dtype = torch.float64, solver: str = "gauss_newton", **problem: Any
+) -> dict[str, Any]:
+    """What a controller of 6 steps is made with, in Python and in a file."""
+    return {
+        "problem": ProblemOptions(**{"horizon": 0.3, "steps": 6, **problem}),
+        "solver": SolverOptions(name=solver, compile="off", iterations=3, tolerance=5e-3),
+        "safety": SafetyOptions(),
+        "dtype": dtype,
+    }
+
+
+def written(known: NeuralSDE | System, path: Path, **given: Any) -> Path:
+    """A file of a controller, for a step of 20 ms and a latency of 40 ms if nothing else is given."""
+    export(known, path, **{"sample": SAMPLE, "period": 0.02, "latency": 0.04, **given})
+    return path
 
 
 def step_of(controller: Controller, knowledge: NeuralSDE | System) -> ExportedStep:

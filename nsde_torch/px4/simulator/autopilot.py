@@ -82,7 +82,7 @@ class SimulatedEstimator:
         self._random, self._headings = random.Random(self.seed), random.Random(self.seed + 1)
         self.resets = 0  # how often it was reset; ODOMETRY sends it, to 255
         self.stepped = 0.0  # heading that the last reset turned it by [rad]
-        self._error = self._drawn()
+        self.new_flight()
         self._speed, self._in_air = 0.0, False
         self._sinking, self._sunk = 0.0, 0.0
 
@@ -91,14 +91,10 @@ class SimulatedEstimator:
         """Whether the estimate does not sink."""
         return self._sinking < STILL
 
-    def _drawn(self) -> float:
-        if self.heading is not None:
-            return self.heading
-        return self._headings.choice((-1.0, 1.0)) * self._headings.uniform(*HEADING)
-
     def new_flight(self) -> None:
         """It was disarmed: the heading is no longer trusted."""
-        self._error = self._drawn()
+        drawn = self._headings.choice((-1.0, 1.0)) * self._headings.uniform(*HEADING)
+        self._error = drawn if self.heading is None else self.heading
 
     def sense(self, body: Body) -> Estimate:
         """The estimate of the machine as it is now."""

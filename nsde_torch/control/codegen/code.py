@@ -11,8 +11,7 @@ from nsde_torch.texts import rendered
 
 _LONG = 90  # characters of an expression from which on it becomes a statement of its own
 _CALLS = {
-    **{n: f"F({n})({{0}})" for n in ("sin", "cos", "tan", "exp", "expm1", "log", "log1p", "sqrt", "atan")},
-    **{n: f"F({n})({{0}})" for n in ("acos", "asin", "asinh", "floor")},
+    **{n: f"F({n})({{0}})" for n in scalar.FUNCTIONS},
     # right to rounding beside 1, and twice as fast as libm's
     "tanh": "(1 - 2 / (F(exp)(2 * {0}) + 1))",
     **{"atan2": "F(atan2)({0}, {1})", "pow": "F(pow)({0}, {1})", "abs": "F(fabs)({0})"},

@@ -154,14 +154,14 @@ def _ordered(a: Number, b: Number) -> tuple[Number, Number]:
     return (a, b) if a.number <= b.number else (b, a)
 
 
-def _sign(x: float) -> float:
-    return float(x > 0) - float(x < 0)
-
-
+FUNCTIONS = (
+    *("sin", "cos", "tan", "exp", "expm1", "log", "log1p", "sqrt", "tanh", "atan", "acos", "asin", "asinh"),
+    "floor",
+)
+"""Functions of one number that have the same name in torch, in Python and in C."""
 _FOLDED: dict[str, Callable[..., float]] = {
-    **{n: getattr(math, n) for n in ("sin", "cos", "tan", "exp", "expm1", "log", "log1p", "sqrt", "tanh")},
-    **{n: getattr(math, n) for n in ("atan", "acos", "asin", "asinh", "atan2", "pow")},
-    **{"abs": abs, "max": max, "min": min, "sign": _sign, "floor": lambda x: float(math.floor(x))},
+    **{n: getattr(math, n) for n in (*FUNCTIONS, "atan2", "pow")},
+    **{"abs": abs, "max": max, "min": min, "sign": lambda x: float(x > 0) - float(x < 0)},
     **{"lt": lambda a, b: float(a < b), "le": lambda a, b: float(a <= b), "eq": lambda a, b: float(a == b)},
 }
 
@@ -517,11 +517,7 @@ _ASKED = {"lt", "le", "gt", "ge", "eq", "ne"} | {
 }
 """Operations whose results are true or false."""
 _RULES: Mapping[str, Callable[..., Any]] = {
-    **{
-        n: _each(n)
-        for n in ("sin", "cos", "tan", "exp", "expm1", "log", "log1p", "sqrt", "tanh", "abs", "atan", "acos")
-    },
-    **{n: _each(n) for n in ("asin", "asinh", "atan2", "sign", "floor", "where", "lt", "le", "eq")},
+    **{n: _each(n) for n in (*FUNCTIONS, "abs", "atan2", "sign", "where", "lt", "le", "eq")},
     **dict.fromkeys(
         ("alias", "clone", "detach", "_to_copy", "contiguous", "lift_fresh_copy"), lambda x, *_, **__: x
     ),

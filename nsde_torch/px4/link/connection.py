@@ -175,9 +175,23 @@ class Transport(ABC):
 
     stream: bool = False  # whether frames may come in pieces
 
-    @abstractmethod
     def receive(self, timeout: float) -> bytes:
         """The next bytes, empty after `timeout` [s] without any."""
+        try:
+            if select.select([self._source()], [], [], timeout)[0]:
+                return self._read()
+        # nobody is there, it was unplugged, or another thread closed it
+        except (OSError, ValueError, TypeError):
+            time.sleep(min(timeout, 0.001))
+        return b""
+
+    @abstractmethod
+    def _source(self) -> Any:
+        """What is waited on until there is something to read."""
+
+    @abstractmethod
+    def _read(self) -> bytes:
+        """Bytes that are there."""
 
     @abstractmethod
     def send(self, data: bytes) -> None:
@@ -231,13 +245,6 @@ def _loopback(host: str) -> bool:
     return False
 
 
-def _readable(sock: socket.socket, timeout: float) -> bool:
-    try:
-        return bool(select.select([sock], [], [], timeout)[0])
-    except (OSError, ValueError):  # closed by another thread
-        return False
-
-
 class _Udp(Transport):
     """A socket for datagrams, which waits at an address or sends to it."""
 
@@ -252,6 +259,9 @@ class _Udp(Transport):
         except OSError:
             self._socket.close()
             raise
+
+    def _source(self) -> socket.socket:
+        return self._socket
 
     def close(self) -> None:
         self._socket.close()
@@ -270,13 +280,8 @@ class UdpIn(_Udp):
         self._last: tuple[str, int] | None = None
         self._heard, self.foreign = 0.0, 0
 
-    def receive(self, timeout: float) -> bytes:
-        if not _readable(self._socket, timeout):
-            return b""
-        try:
-            data, source = self._socket.recvfrom(65536)
-        except OSError:
-            return b""
+    def _read(self) -> bytes:
+        data, source = self._socket.recvfrom(65536)
         now = time.monotonic()
         if self._peer is not None and source != self._peer:
             # a restarted vehicle has another port; a stranger does not get in while ours is heard
@@ -304,14 +309,8 @@ class UdpOut(_Udp):
 
     listens = False
 
-    def receive(self, timeout: float) -> bytes:
-        if not _readable(self._socket, timeout):
-            return b""
-        try:
-            return self._socket.recv(65536)
-        except OSError:  # "refused": nobody is there yet
-            time.sleep(min(timeout, 0.001))
-            return b""
+    def _read(self) -> bytes:
+        return self._socket.recv(65536)
 
     def send(self, data: bytes) -> None:
         with suppress(OSError):
@@ -335,11 +334,11 @@ class _Connected(Transport):
         connection.setblocking(False)
         self._connection = connection
 
-    def receive(self, timeout: float) -> bytes:
-        if self._connection is None:
-            time.sleep(min(timeout, 0.01))
-            return b""
-        if not _readable(self._connection, timeout):
+    def _source(self) -> socket.socket | None:
+        return self._connection
+
+    def _read(self) -> bytes:
+        if self._connection is None:  # dropped by another thread just now
             return b""
         try:
             data = self._connection.recv(65536)
@@ -390,15 +389,14 @@ class TcpIn(_Connected):
         self._server.setblocking(False)
         self.address: tuple[str, int] = self._server.getsockname()
 
-    def receive(self, timeout: float) -> bytes:
-        if self._connection is None:
-            if not _readable(self._server, timeout):
-                return b""
-            try:
-                self._use(self._server.accept()[0])
-            except OSError:
-                return b""
-        return super().receive(timeout)
+    def _source(self) -> socket.socket:
+        return self._connection or self._server
+
+    def _read(self) -> bytes:
+        if self._connection is not None:
+            return super()._read()
+        self._use(self._server.accept()[0])
+        return b""
 
     def close(self) -> None:
         super().close()
@@ -416,14 +414,11 @@ class Serial(Transport):
 
         self._port: Any = serial.Serial(device, baud, timeout=0.0, write_timeout=0.0)
 
-    def receive(self, timeout: float) -> bytes:
-        try:
-            if not select.select([self._port.fileno()], [], [], timeout)[0]:
-                return b""
-            data: bytes = self._port.read(4096)
-        except (OSError, ValueError, TypeError):  # unplugged, or closed by another thread
-            time.sleep(min(timeout, 0.01))
-            return b""
+    def _source(self) -> Any:
+        return self._port
+
+    def _read(self) -> bytes:
+        data: bytes = self._port.read(4096)
         return data
 
     def send(self, data: bytes) -> None:

@@ -144,7 +144,8 @@ def _uncut(node: fx.Node, known: Values) -> list[fx.Node]:
     split: Any = node.args[0]
     if split.target is not _SPLIT:
         return []
-    joined, place, axis = split.args[0], node.args[1], _axis(split, known)
+    place: Any = node.args[1]
+    joined, axis = split.args[0], _axis(split, known)
     if known[joined].shape == known[node].shape:
         return [joined]
     if joined.target is not _CAT or _axis(joined, known) != axis:

@@ -151,23 +151,9 @@ def warnings(endpoint: Endpoint, status: Status, path: PathPoints, limits: Limit
     return out
 
 
-# What PX4 does when something is lost, judged by its parameters before anything is armed.
-#
-# | parameter | judged |
-# |---|---|
-# | COM_OF_LOSS_T | how long it flies on the last rates: refused above 2 s, noted where that is more than 2 m of way |
-# | COM_OBL_RC_ACT, NAV_RCL_ACT, NAV_DLL_ACT, GF_ACTION | refused where it stops the motors in the air |
-# | these, COM_LOW_BAT_ACT, RTL_RETURN_ALT | noted where it climbs above the fence's top to return |
-# | COM_LOW_BAT_ACT | noted where it only warns |
-# | COM_RC_IN_MODE | whether there are sticks: 4 switches them off; refused where COM_OBL_RC_ACT hands over to them |
-# | COM_RCL_EXCEPT, COM_DLL_EXCEPT | whether a lost transmitter or ground station matters in OFFBOARD |
-# | COM_RC_OVERRIDE | noted where moving the sticks does not end OFFBOARD |
-# | GF_MAX_HOR_DIST, GF_MAX_VER_DIST | noted where PX4's own fence is nearer than ours |
-# | SENS_GPS0_DELAY, in older versions EKF2_GPS_DELAY | noted below 5 ms: no receiver is that fresh |
-# | SDLOG_PROFILE | noted where PX4's own log has the motors at 10 Hz |
-#
-# (Values: PX4 parameter reference.) With COM_OBL_RC_ACT 0 and no sticks a real PX4 was seen to drift at 6.5 m/s into
-# the ground after its link had been cut.
+# What PX4 does when something is lost, judged by its parameters before anything is armed (values: PX4 parameter
+# reference). With COM_OBL_RC_ACT 0 and no sticks a real PX4 was seen to drift at 6.5 m/s into the ground after its link
+# had been cut.
 
 OF_LOSS, ACTION, STICKS = "COM_OF_LOSS_T", "COM_OBL_RC_ACT", "COM_RC_IN_MODE"
 CLIMBS_TO, BATTERY = "RTL_RETURN_ALT", "COM_LOW_BAT_ACT"

@@ -78,11 +78,9 @@ class Connection(ABC):
 class Link(Connection):
     """A connection to one vehicle, over bytes in and out (else see `Endpoint`); a context manager."""
 
-    def __init__(
-        self, transport: Transport, *, system: int = 245, target: int | None = None, key: bytes | None = None
-    ) -> None:
-        self._transport, stream = transport, transport.stream
-        self.endpoint = Endpoint(transport.send, system=system, target=target, key=key, stream=stream)
+    def __init__(self, transport: Transport, **known: Any) -> None:
+        self._transport = transport
+        self.endpoint = Endpoint(transport.send, stream=transport.stream, **known)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._receive, name="mavlink", daemon=True)
         self.fault: Exception | None = None

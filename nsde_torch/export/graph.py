@@ -2,9 +2,7 @@
 
 `make_fx` writes down the operations of a function of fixed shapes, derivatives among them. What an interpreter then
 pays for is their number, so what does nothing is taken out, what repeats is done once, what follows from constants
-alone becomes a constant, and
-
-    split(cat(a, b, ...)) -> a, b, ...         x + c y -> add(x, y, alpha=c)         x + a @ b -> addmm(x, a, b)
+alone becomes a constant, and what is put together to be cut again is not.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -22,7 +20,6 @@ from nsde_torch.columns import few_operations
 
 _aten = torch.ops.aten
 _CAT, _SPLIT = _aten.cat.default, _aten.split_with_sizes.default
-_ADD, _SUB, _MUL, _MM = _aten.add.Tensor, _aten.sub.Tensor, _aten.mul.Tensor, _aten.mm.default
 _SAME = {
     *(_aten.alias.default, _aten.detach.default, _aten.lift_fresh_copy.default, _aten.clone.default),
     _aten._to_copy.default,
@@ -33,7 +30,11 @@ _FILLED = {
     *(_aten.new_ones.default, _aten.new_full.default, _aten._new_zeros_with_same_feature_meta.default),
 }
 """Follow from the shape of their argument alone."""
-_SHAPED = {_aten.view.default, _aten._unsafe_view.default, _aten.reshape.default}
+_SHAPED = {
+    *(_aten.view.default, _aten._unsafe_view.default, _aten.reshape.default, _aten.expand.default),
+    _aten.slice.Tensor,
+}
+"""Give their argument back where it has their shape."""
 _LARGEST = 1 << 20
 Values = Mapping[fx.Node, Any]  # of the nodes of a graph, for an example
 
@@ -64,7 +65,7 @@ def graph_of(
 
 
 def _fold(module: fx.GraphModule, example: Sequence[Tensor]) -> None:
-    """One pass over a graph: constants, operations that do nothing, that repeat, or that one does for two."""
+    """One pass over a graph: constants, operations that do nothing, that repeat, cuts between parts."""
     values = fx.Interpreter(module, garbage_collect_values=False)
     values.run(*example)
     graph, known = module.graph, values.env
@@ -96,9 +97,6 @@ def _fold(module: fx.GraphModule, example: Sequence[Tensor]) -> None:
             fixed |= {node} if follows and inputs else set()
         elif (follows or node.target in _FILLED or not value.numel()) and value.numel() <= _LARGEST:
             _give(node, constant(value, node))
-        elif node.target is _aten.copy_.default and inputs[0] is not inputs[-1]:
-            assert known[inputs[1]].shape == value.shape
-            _give(node, inputs[1])  # derivatives are copied into fresh zeros
         elif node.target is getitem and (parts := _uncut(node, known)):
             with graph.inserting_before(node):
                 new = (
@@ -110,13 +108,6 @@ def _fold(module: fx.GraphModule, example: Sequence[Tensor]) -> None:
             _give(node, new)
         elif _is_nothing(node, known[inputs[0]], value):
             _give(node, inputs[0])
-        elif node.target in _SHAPED and inputs[0].target in _SHAPED:
-            node.replace_input_with(inputs[0], inputs[0].all_input_nodes[0])
-        elif node.target is _aten.permute.default and inputs[0].target is node.target:
-            before: Any = inputs[0].args[1]
-            node.args = (inputs[0].args[0], [before[k] for k in node.args[1]])
-        elif node.target in (_ADD, _SUB):
-            _join(node, known)
     graph.eliminate_dead_code()
     module.graph = fx_graph_cse(graph)
     module.graph.eliminate_dead_code()
@@ -157,35 +148,10 @@ def _uncut(node: fx.Node, known: Values) -> list[fx.Node]:
     return parts[ends.index(low) : ends.index(high)] if low in ends and high in ends else []
 
 
-def _join(node: fx.Node, known: Values) -> None:
-    """A sum with a multiple, or with a product of matrices, as one operation."""
-    if node.kwargs:
-        return
-    first, second = node.args
-    for rest, other in ((first, second), (second, first))[: 2 if node.target is _ADD else 1]:
-        if not isinstance(rest, fx.Node) or not isinstance(other, fx.Node) or len(other.users) != 1:
-            continue
-        if known[rest].dtype != known[other].dtype:
-            continue
-        if other.target is _MUL and isinstance(other.args[1], (int, float)):
-            node.args, node.kwargs = (rest, other.args[0]), {"alpha": other.args[1]}
-            return
-        if other.target is _MM and node.target is _ADD and known[other].shape == known[node].shape:
-            node.target, node.args = _aten.addmm.default, (rest, *other.args)
-            return
-
-
 def _is_nothing(node: fx.Node, before: object, after: Tensor) -> bool:
     """Whether an operation gives its first argument back."""
     if not isinstance(before, Tensor) or before.dtype != after.dtype:
         return False
     if node.target in _SAME:
         return before.stride() == after.stride()
-    if before.shape != after.shape:
-        return False
-    if node.target in (*_SHAPED, _aten.expand.default, _aten.slice.Tensor):
-        return True
-    if node.target is _aten.permute.default:
-        order: Any = node.args[1]
-        return all(before.shape[k] == 1 or k == place for place, k in enumerate(order))
-    return node.target in (_MUL, _aten.div.Tensor) and node.args[1] in (1, 1.0)
+    return node.target in _SHAPED and before.shape == after.shape

@@ -19,6 +19,7 @@ import time
 import zipfile
 from collections.abc import Mapping
 from dataclasses import asdict, fields
+from importlib.metadata import version
 from math import inf
 from pathlib import Path
 from typing import Any
@@ -174,7 +175,7 @@ def record_of(
     return {
         "kind": kind,
         "written": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(float(stamp) if stamp else None)),
-        "versions": {"nsde_torch": version(), "torch": torch.__version__},
+        "versions": {"nsde_torch": version("nsde_torch"), "torch": torch.__version__},
         "processor": _processor() if kind == AOTI else None,
         "dtype": str(step.dtype).removeprefix("torch."),
         "frames": FRAMES if system.quaternion is not None else "SI units, radians",
@@ -217,7 +218,7 @@ def check(record: Mapping[str, Any]) -> None:
     """Refuse a record of other versions or another processor; an ExportError names what differs."""
     try:
         written = record["versions"]
-        for name, own in (("nsde_torch", version()), ("torch", torch.__version__)):
+        for name, own in (("nsde_torch", version("nsde_torch")), ("torch", torch.__version__)):
             if _series(written[name]) != _series(own):
                 raise ExportError(
                     f"it was written with {name} {written[name]}, and this is {own}. Export anew, or install that "
@@ -254,13 +255,6 @@ def system_of(record: Mapping[str, Any]) -> System:
     if model["spec"] is None:
         return make_plant_system(model["system"], declared_only=True)
     return make_spec(model["spec"]).make_system(model["parameters"])
-
-
-def version() -> str:
-    """Version of this package."""
-    from importlib import metadata
-
-    return metadata.version("nsde_torch")
 
 
 def _series(text: str) -> tuple[str, ...]:

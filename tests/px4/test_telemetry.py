@@ -93,15 +93,6 @@ def test_a_clock_that_starts_again_is_believed_after_it_said_so_five_times() -> 
     assert telemetry.state.time == pytest.approx(100.08, abs=0.02)
 
 
-def test_time_sync_takes_the_shortest_round_trip() -> None:
-    sync = TimeSync()
-    sync.answered(50.005, 100.0, 100.01)  # offset -50, quick
-    sync.answered(50.9, 100.9, 101.3)  # slow and lopsided
-    assert sync.offset(101.3) == pytest.approx(-50.0)
-    assert sync.round_trip == pytest.approx(0.01)
-    assert sync.ours(60.0) == pytest.approx(110.0)
-
-
 def test_motor_commands_come_from_pulse_widths_or_shares() -> None:
     telemetry = Telemetry()
     telemetry.take(mavlink.MAVLink_servo_output_raw_message(0, 0, 1500, 2000, 1000, 900, 0, 0, 0, 0), 1.0)

@@ -57,7 +57,19 @@ def test_solutions_are_those_of_torch_whatever_a_plan_pays_for(
 ) -> None:
     h = horizon_of(declared, **SMALL, **options)
     # off by so much that several changes of the active set and several iterations are needed
-    _both(h, problem_of(h, path, rows=3, off=3.0), 1e-8, iterations=6, tolerance=1e-4)
+    _both(h, problem_of(h, path, rows=1, off=3.0), 1e-8, iterations=6, tolerance=1e-4)
+
+
+@needs_compiler
+def test_each_row_of_a_batch_is_solved_as_torch_solves_it_alone(declared: System, path: Reference) -> None:
+    h = horizon_of(declared, **SMALL)
+    p = problem_of(h, path, rows=3, off=3.0)
+    together = _solved(h, p, compile="on", iterations=4, tolerance=0.0)
+    for row in range(3):
+        own = Problem(*(t[row : row + 1] for t in p))
+        alone = _solved(h, own, compile="off", iterations=4, tolerance=0.0)
+        assert _near(together.u[row], alone.u[0], 1e-8)
+        assert _near(together.cost[row], alone.cost[0], 1e-8)
 
 
 @needs_compiler

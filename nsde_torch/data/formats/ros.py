@@ -36,7 +36,7 @@ _NUMBERS = {
     "int32": "i4", "uint32": "u4", "int64": "i8", "uint64": "u8", "float32": "f4", "float64": "f8",
 }  # fmt: skip
 _LONGEST = 64  # elements of an array that become columns
-_DEEPEST = 16
+_DEEPEST, _MOST_LAYOUTS = 16, 1000
 _TOGETHER = 20_000  # messages that are read at a time
 LARGEST = 1 << 20  # bytes of a message at most: images and clouds are no signals
 MEMORY = 3 << 28  # bytes of messages that are kept at a time
@@ -57,9 +57,9 @@ class _Layout:
         self.at = self.start = 4 if aligned else 0
         self.columns: dict[str, tuple[int, str]] = {}
         self.lengths: list[tuple[int, int]] = []
-        self.message(kind)
+        self.message(kind, "", 0)
 
-    def message(self, kind: str, before: str = "", depth: int = 0) -> None:
+    def message(self, kind: str, before: str, depth: int) -> None:
         if depth > _DEEPEST or kind not in self.types:
             raise UnsupportedMessageError(f"the type {kind} is not defined in the log")
         for name, what in self.types[kind]:
@@ -68,47 +68,39 @@ class _Layout:
     def one(self, what: tuple[int, Any], name: str, depth: int) -> None:
         kind, of = int(what[0]), what[1]
         if kind == BASE:
-            self.base(of[0] if isinstance(of, tuple) else of, name)
+            self.base(of[0], [name])
         elif kind == NAME:
             self.message(of, f"{name}.", depth + 1)
         else:
-            inner, count = of
+            (inner, base), count = of
             count = self.length() if kind == SEQUENCE else int(count)
-            self.many(inner, count, name, depth)
+            if int(inner) == BASE and base[0] in _NUMBERS:
+                self.base(base[0], [f"{name}[{k}]" for k in range(count)] if count <= _LONGEST else [], count)
+                return
+            if count > LARGEST:
+                raise UnsupportedMessageError("a sequence that is longer than the message")
+            for k in range(count):
+                self.one((inner, base), f"{name}[{k}]", depth + 1)
 
-    def many(self, inner: tuple[int, Any], count: int, name: str, depth: int) -> None:
-        base = inner[1][0] if isinstance(inner[1], tuple) else inner[1]
-        if int(inner[0]) == BASE and base in _NUMBERS:
-            size = np.dtype(_NUMBERS[base]).itemsize
-            self.align(size) if count else None
-            if count <= _LONGEST:
-                for k in range(count):
-                    self.columns[f"{name}[{k}]"] = (self.at + k * size, self.order + _NUMBERS[base])
-            self.move(size * count)
-            return
-        if count > LARGEST:
-            raise UnsupportedMessageError("a sequence that is longer than the message")
-        for k in range(count):
-            self.one(inner, f"{name}[{k}]", depth + 1)
-
-    def base(self, kind: str, name: str) -> None:
+    def base(self, kind: str, names: Sequence[str], count: int = 1) -> None:
+        """A string, or so many numbers in a row; those with a name become columns."""
         if kind == "string":
             self.move(self.length())
-            return
-        if kind not in _NUMBERS:
+        elif kind not in _NUMBERS:
             raise UnsupportedMessageError(f"numbers of the type {kind}")
-        size = np.dtype(_NUMBERS[kind]).itemsize
-        self.align(size)
-        self.columns[name] = (self.at, self.order + _NUMBERS[kind])
-        self.move(size)
+        elif count:
+            size = np.dtype(_NUMBERS[kind]).itemsize
+            self.align(size)
+            for k, name in enumerate(names):
+                self.columns[name] = (self.at + k * size, self.order + _NUMBERS[kind])
+            self.move(size * count)
 
     def length(self) -> int:
         self.align(4)
-        if self.at + 4 > len(self.raw):
-            raise UnsupportedMessageError("a message that is cut short")
-        value = int(struct.unpack_from(f"{self.order}I", self.raw, self.at)[0])
-        self.lengths.append((self.at, value))
+        place = self.at
         self.move(4)
+        value = int(struct.unpack_from(f"{self.order}I", self.raw, place)[0])
+        self.lengths.append((place, value))
         return value
 
     def align(self, size: int) -> None:
@@ -128,21 +120,16 @@ def columns_of(messages: Sequence[bytes], kind: str, types: Fields, *, aligned: 
     """
     left, sizes = np.arange(len(messages)), np.array([len(m) for m in messages])
     out: dict[str, Array] = {}
-    bad, layouts, why = 0, 0, "no messages"
-    while len(left):
+    why = "messages of many layouts"
+    for _ in range(_MOST_LAYOUTS):
+        if not len(left):
+            break
         first = messages[left[0]]
         same = left[sizes[left] == len(first)]
-        if len(first) > LARGEST or layouts > 1000:
-            raise UnsupportedMessageError("messages of many layouts, or large ones")
-        layouts += 1
         try:
             layout = _Layout(first, kind, types, aligned=aligned)
-        except (UnsupportedMessageError, struct.error, RecursionError) as error:
-            why = str(error)
-            bad += 1
-            left = left[1:]
-            if bad > 100 and not out:
-                break
+        except UnsupportedMessageError as error:
+            why, left = str(error), left[1:]
             continue
         read = [same[:0]]
         for start in range(0, len(same), _TOGETHER):
@@ -152,8 +139,7 @@ def columns_of(messages: Sequence[bytes], kind: str, types: Fields, *, aligned: 
             fits = (table[:, :2] == np.frombuffer(first[:2], dtype=np.uint8)).all(axis=1) | (not aligned)
             for at, value in layout.lengths:
                 fits &= _at(table, at, f"{layout.order}u4") == value
-            if not fits.all():
-                rows, table = rows[fits], table[fits]
+            rows, table = rows[fits], table[fits]
             read.append(rows)
             for name, (at, number) in layout.columns.items():
                 if name in _TIMES or not any(part in name for part in _NOT_SIGNALS):
@@ -161,7 +147,7 @@ def columns_of(messages: Sequence[bytes], kind: str, types: Fields, *, aligned: 
                         out[name] = np.full(len(messages), np.nan)
                     out[name][rows] = _at(table, at, number)
         left = np.setdiff1d(left, np.concatenate(read), assume_unique=True)
-    if not out:
+    if len(left) or not out:
         raise UnsupportedMessageError(why)
     return out
 
@@ -209,12 +195,10 @@ def stream_of(
         sample = columns.get("timestamp_sample")
         t = (columns["timestamp"] if sample is None or not (sample > 0).all() else sample) * 1e-6
     good = np.isfinite(t)
-    kept = {k: v for k, v in columns.items() if not k.startswith(("header.", "stamp."))}
+    kept = {k: v[good] for k, v in columns.items() if not k.startswith(("header.", "stamp."))}
     if not kept:
         raise UnsupportedMessageError("no numbers beside its header")
-    if not good.all():
-        t, kept = t[good], {k: v[good] for k, v in kept.items()}
-    return ordered(Stream(topic, t, kept))
+    return ordered(Stream(topic, t[good], kept))
 
 
 def seconds_since(stamps: Sequence[int], since: int) -> NDArray[np.float64]:

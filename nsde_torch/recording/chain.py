@@ -17,7 +17,7 @@ from nsde_torch.data.system_info import SystemInfo
 from nsde_torch.errors import ConfigError
 from nsde_torch.options import check
 from nsde_torch.recording.fault import NATS, Detected, Fault, LoggedRuns
-from nsde_torch.recording.faults import FAULTS, in_order, recording_options
+from nsde_torch.recording.faults import FAULTS, ClockScale, in_order, recording_options
 from nsde_torch.recording.latency import Misfits, suspected_latency, whole_sensor_late
 
 
@@ -42,7 +42,7 @@ class Recording:
     @property
     def clock(self) -> float:
         """Physical seconds for each logged second."""
-        return float(np.prod([fault.clock(value) for fault, value in self._acting()]))
+        return float(self._faults.get(ClockScale.name, 1.0))
 
     @property
     def mixing_times(self) -> list[str]:

@@ -225,17 +225,6 @@ def _sure(fault: Fault, log: LoggedRuns) -> Uncertain | None:
     return off if off.p < log.level(fault.stage) else None
 
 
-def without_scales(x: Array, system: SystemInfo, values: Mapping[str, Any]) -> Array:
-    """States (n, nx) divided by how many times too much their sensors read."""
-    x = x.copy()
-    for name, value in values.items():
-        at = _column("sensor_scale", name, value, system)
-        if value == 0.0:
-            raise ConfigError(f"`sensor_scale.{name}` must be a number other than 0; got {value!r}.")
-        x[:, at] /= value
-    return x
-
-
 _FEWEST = 12  # intervals
 _LEAST_SHARE = 0.02  # of the rate's own rms: a bias below that is of no consequence
 
@@ -278,15 +267,30 @@ def found_biases(fault: Fault, log: LoggedRuns) -> Detected | None:
     return Detected(fault.name, values, min(bias.p for bias in sure.values()), text)
 
 
-def without_biases(run: Run | RawRun, system: SystemInfo, values: Mapping[str, Any]) -> Array:
-    """States (n, nx) of a run less what sensors read too much: in all runs, or in this one (`{RUN: {STATE: b}}`)."""
-    x, biases = run.x.copy(), {k: v for k, v in values.items() if not isinstance(v, Mapping)}
-    here = values.get(run.name)
-    for name, value in here.items() if isinstance(here, Mapping) else ():
-        biases[name] = biases.get(name, 0.0) + value
-    for name, value in biases.items():
-        x[:, _column("sensor_bias", name, value, system)] -= value
+_READS: dict[str, tuple[np.ufunc, np.ufunc]] = {
+    "sensor_bias": (np.add, np.subtract),
+    "sensor_scale": (np.multiply, np.divide),
+}
+"""What a sensor with a fault does to a state, and what undoes it."""
+
+
+def misread(
+    x: Array, system: SystemInfo, fault: str, sizes: Mapping[str, Any], *, undo: bool = False
+) -> Array:
+    """States (n, nx) as sensors with a fault of these sizes log them, or as they were."""
+    x, change = x.copy(), _READS[fault][undo]
+    for name, size in sizes.items():
+        at = _column(fault, name, size, system)
+        x[:, at] = change(x[:, at], size)
     return x
+
+
+def without(run: Run | RawRun, system: SystemInfo, fault: str, values: Mapping[str, Any]) -> Array:
+    """States (n, nx) of a run as they were: of sizes in all runs, or in this one (`{RUN: {STATE: size}}`)."""
+    own = values.get(run.name)
+    x = misread(run.x, system, fault, own, undo=True) if isinstance(own, Mapping) else run.x
+    of_all = {name: size for name, size in values.items() if not isinstance(size, Mapping)}
+    return misread(x, system, fault, of_all, undo=True)
 
 
 def _column(fault: str, name: str, value: Any, system: SystemInfo) -> int:
@@ -296,4 +300,6 @@ def _column(fault: str, name: str, value: Any, system: SystemInfo) -> int:
         raise ConfigError(f"`{fault}` names {name!r}, which is no state; states: {', '.join(names)}.")
     if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
         raise ConfigError(f"`{fault}.{name}` must be a finite number; got {value!r}.")
+    if fault == "sensor_scale" and value == 0.0:
+        raise ConfigError(f"`{fault}.{name}` must be a number other than 0; got {value!r}.")
     return names.index(name)

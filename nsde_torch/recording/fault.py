@@ -146,10 +146,6 @@ class Fault(ABC):
         """Rows of the past that the first row of the log needs, at a step `dt` [s] of the log."""
         return 0
 
-    def clock(self, value: Any) -> float:
-        """Physical seconds for each logged second."""
-        return 1.0
-
     @abstractmethod
     def simulate(self, run: RawRun, value: Any, system: SystemInfo, *, dt: float, rng: Generator) -> None:
         """Do to a run what a fault of this size does, at a step of the log [s].

@@ -41,11 +41,8 @@ class ClockScale(Fault):
     stage = "clock"
     option = key(1.0, "physical seconds for each logged second", low=0.5, high=2)
 
-    def clock(self, value: Any) -> float:
-        return float(value)
-
     def simulate(self, run: RawRun, value: Any, system: SystemInfo, *, dt: float, rng: Generator) -> None:
-        """The plant is sampled at steps that are `value` times as long (see `clock`); nothing is left to do."""
+        """The plant is sampled at steps that are `value` times as long (`Recording.clock`); nothing is left to do."""
 
     def detect(self, log: LoggedRuns) -> Detected | None:
         return clock_and_biases.wrong_clock(self, log)
@@ -158,6 +155,12 @@ class _OfStates(Fault):
                 + (" An attitude is turned with `frame_misalignment`." if turned else "")
             )
 
+    def simulate(self, run: RawRun, value: Any, system: SystemInfo, *, dt: float, rng: Generator) -> None:
+        run.x = clock_and_biases.misread(run.x, system, self.name, value)
+
+    def undo_raw(self, run: RawRun, system: SystemInfo, values: Mapping[str, float]) -> None:
+        run.x = clock_and_biases.without(run, system, self.name, values)
+
 
 @final
 class SensorBias(_OfStates):
@@ -172,19 +175,11 @@ class SensorBias(_OfStates):
         "what sensors read too much, {STATE: 0.01} in its unit, to take out; {RUN: {STATE: 0.01}} in one run",
     )
 
-    def simulate(self, run: RawRun, value: Any, system: SystemInfo, *, dt: float, rng: Generator) -> None:
-        run.x = run.x.copy()
-        for name, bias in value.items():
-            run.x[:, list(system.state_names).index(name)] += bias
-
     def detect(self, log: LoggedRuns) -> Detected | None:
         return clock_and_biases.found_biases(self, log)
 
     def undo(self, run: Run, system: SystemInfo, values: Mapping[str, float]) -> Run:
-        return replace(run, x=clock_and_biases.without_biases(run, system, values))
-
-    def undo_raw(self, run: RawRun, system: SystemInfo, values: Mapping[str, float]) -> None:
-        run.x = clock_and_biases.without_biases(run, system, values)
+        return replace(run, x=clock_and_biases.without(run, system, self.name, values))
 
 
 @final
@@ -197,16 +192,8 @@ class SensorScale(_OfStates):
     option = key({}, "how many times too much a state is read, recording.sensor_scale.STATE=1.05")
     remedy = key({}, "how many times too much sensors read, {STATE: 1.05}, to take out")
 
-    def simulate(self, run: RawRun, value: Any, system: SystemInfo, *, dt: float, rng: Generator) -> None:
-        run.x = run.x.copy()
-        for name, scale in value.items():
-            run.x[:, list(system.state_names).index(name)] *= scale
-
     def detect(self, log: LoggedRuns) -> Detected | None:
         return clock_and_biases.scaled_rate(self, log)
-
-    def undo_raw(self, run: RawRun, system: SystemInfo, values: Mapping[str, float]) -> None:
-        run.x = clock_and_biases.without_scales(run.x, system, values)
 
 
 @final
@@ -317,6 +304,7 @@ class TurnedFrame(Fault):
     """
 
     name = "frame_misalignment"
+    truth = "frame_misalignment_deg"
     rank = 70
     option = key(
         (0.0, 0.0, 0.0), "turn of the log's body frame against the machine's about x, y, z", unit="deg"
@@ -348,9 +336,6 @@ class TurnedFrame(Fault):
         if rates is not None:
             x[:, rates] = rotate_back(turned(identity, angle), torch.from_numpy(x[:, rates].copy())).numpy()
         run.x = x
-
-    def describe(self, value: Any, *, dt: float) -> dict[str, Any]:
-        return {"frame_misalignment_deg": [float(v) for v in value]}
 
 
 @final

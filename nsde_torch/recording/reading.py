@@ -259,7 +259,9 @@ def assemble(
     rate = clock_and_biases.single_rate(system)
     scale, read_too_much = clock_and_biases.decide(slopes, rate, policy=clock, report=report)
     if read_too_much:
-        runs = [replace(r, x=clock_and_biases.without_scales(r.x, system, read_too_much)) for r in runs]
+        runs = [
+            replace(r, x=clock_and_biases.without(r, system, "sensor_scale", read_too_much)) for r in runs
+        ]
     runs = unmeasured_rates.inferred(whole, runs, rates, scale)
     for fault, values in _asked(faults):
         runs = [fault.undo(run, system, values) for run in runs]

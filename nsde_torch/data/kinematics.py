@@ -104,15 +104,13 @@ class Pooled:
 ATTITUDE = "attitude"  # name of the group of an attitude and its body rates
 
 
-def axis_groups(system: SystemInfo, x: Array, dt: float) -> list[tuple[str, list[str], Array, Array]]:
-    """(group, axis names, increments (n-1, k), integrals of the rate (n-1, k)) over single steps."""
+def axis_groups(system: SystemInfo, x: Array, dt: float) -> list[tuple[str, Array, Array, Array]]:
+    """(group, increments (n-1, k), integrals of the rate (n-1, k), both over single steps, and the rate (n, k))."""
     out = []
-    for group, (positions, rates) in pairs_of(system).items():
-        turns = group == ATTITUDE
-        p = x[:, [system.state_names.index(name) for name in positions]]
-        v = rates_of(system, group, x)
-        change = increments(p) if turns else np.diff(p, axis=0)
-        out.append((group, rates if turns else positions, change, 0.5 * dt * (v[1:] + v[:-1])))
+    for group, pair in pairs_of(system).items():
+        p, v = (x[:, [system.state_names.index(name) for name in names]] for names in pair)
+        change = increments(p) if group == ATTITUDE else np.diff(p, axis=0)
+        out.append((group, change, 0.5 * dt * (v[1:] + v[:-1]), v))
     return out
 
 
@@ -131,7 +129,7 @@ def find_jumps(system: SystemInfo, x: Array, *, dt: float) -> list[Jump]:
     if len(x) < 2 * NEIGHBOURHOOD:
         return []
     found: dict[int, Jump] = {}
-    for group, _, increment, integral in axis_groups(system, x, dt):
+    for group, increment, integral, _ in axis_groups(system, x, dt):
         rest = increment - integral
         size = np.linalg.norm(rest, axis=1)
         speed = np.linalg.norm(integral, axis=1)
@@ -174,31 +172,27 @@ def clock_slopes(system: SystemInfo, name: str, segments: Sequence[Array], *, dt
     Segments are states (n_i, nx), `dt` is the logged step [s].
     """
     length = max(4, 2 * round(0.5 * INTERVAL_S / dt))
-    parts: dict[str, tuple[list[str], list[Array]]] = {}
+    parts: dict[str, list[Array]] = {}
     for x in segments:
         if len(x) <= length:
             continue
         edges = np.arange(0, len(x), length)
-        for group, axes, increment, _ in axis_groups(system, x, dt):
-            rate = rates_of(system, group, x)
+        for group, increment, _, rate in axis_groups(system, x, dt):
             total = _sums(np.append(increment, increment[-1:], axis=0), edges)
-            # trapezoid over the even samples (ends halved), midpoint rule over the odd samples; both span the
-            # interval
-            even = rate.copy()
-            even[1::2] = 0.0
-            odd = rate.copy()
-            odd[0::2] = 0.0
+            # trapezoid over the even samples (ends halved), midpoint rule over the odd samples: both span it
+            even, odd = rate.copy(), rate.copy()
+            even[1::2] = odd[0::2] = 0.0
             half = 0.5 * (rate[edges[1:]] - rate[edges[:-1]])
             a_even = 2.0 * dt * (_sums(even, edges) + half)
             a_odd = 2.0 * dt * _sums(odd, edges)
-            parts.setdefault(group, (axes, []))[1].append(np.stack([total, a_even, a_odd]))
-    out = []
-    for group, (axes, pieces) in parts.items():
+            parts.setdefault(group, []).append(np.stack([total, a_even, a_odd]))
+    out, pairs = [], pairs_of(system)
+    for group, pieces in parts.items():
         data = np.concatenate(pieces, axis=1)
         n = data.shape[1]
         if n < MIN_INTERVALS:
             continue
-        for k, axis in enumerate(axes):
+        for k, axis in enumerate(pairs[group][group == ATTITUDE]):
             b, even, odd = data[:, :, k]
             estimate = jackknife(lambda one: _slope(*one), data[:, :, k], FOLDS)
             if estimate is None:
@@ -237,10 +231,6 @@ def pairs_of(system: SystemInfo) -> dict[str, tuple[list[str], list[str]]]:
     if system.quaternion is not None and rate_columns(system) is not None:
         out[ATTITUDE] = (names[system.quaternion], list(RATE_NAMES))
     return out
-
-
-def rates_of(system: SystemInfo, group: str, x: Array) -> Array:
-    return x[:, [system.state_names.index(name) for name in pairs_of(system)[group][1]]]
 
 
 def called(group: str, axes: Sequence[str]) -> str:

@@ -26,7 +26,6 @@ from nsde_torch.data.kinematics import (
     called,
     pairs_of,
     pool,
-    rates_of,
 )
 from nsde_torch.data.raw import Finding, RawRun, Report
 from nsde_torch.data.run import Run
@@ -237,10 +236,9 @@ def _rate_biases(system: SystemInfo, runs: Sequence[Run], clock: float) -> dict[
         length = max(2, round(INTERVAL_S / step))
         for x in (run.x[a:b] for a, b in run.segments):
             count = (len(x) - 1) // length
-            for group, _, change, integral in axis_groups(system, x, step) if count else ():
+            for group, change, integral, rates in axis_groups(system, x, step) if count else ():
                 sums = (change - integral)[: count * length].T.reshape(-1, count, length).sum(2)
-                rates = rates_of(system, group, x).T
-                for name, total, rate in zip(pairs_of(system)[group][1], sums, rates, strict=True):
+                for name, total, rate in zip(pairs_of(system)[group][1], sums, rates.T, strict=True):
                     parts.setdefault(name, []).append((total / (length * step), rate))
     out = {}
     for name, pieces in parts.items():

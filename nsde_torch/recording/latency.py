@@ -31,7 +31,7 @@ from scipy.signal import lfilter
 from scipy.special import chdtrc, ndtri, stdtr
 
 from nsde_torch.arrays import Array
-from nsde_torch.data.kinematics import Slope, Uncertain, axis_groups, jackknife, pairs_of, pool, rates_of
+from nsde_torch.data.kinematics import Slope, Uncertain, axis_groups, jackknife, pairs_of, pool
 from nsde_torch.data.raw import Finding
 from nsde_torch.data.run import DataSet, Run
 from nsde_torch.data.system_info import SystemInfo, channel_columns, common_name
@@ -71,6 +71,11 @@ class Latency(Uncertain):
         """By how much [s of the log]."""
         return self.value
 
+    @property
+    def fault(self) -> str:
+        """Name of the fault, and of the option that takes it out."""
+        return "sensor_lag" if self.filtered else "sensor_delay"
+
 
 # found
 
@@ -84,8 +89,7 @@ def latencies(system: SystemInfo, runs: Sequence[Run], *, clock: float = 1.0) ->
         for a, b in ((a, a + int(share * (b - a))) for a, b in run.segments):
             if b - a < 4:
                 continue
-            for group, _, change, integral in axis_groups(system, run.x[a:b], dt):
-                rate = rates_of(system, group, run.x[a:b])
+            for group, change, integral, rate in axis_groups(system, run.x[a:b], dt):
                 parts.setdefault(group, []).append((change, integral, rate))
     for group, (positions, rates) in pairs_of(system).items():
         rough = _time_of(group, parts[group], dt, filtered=False) if group in parts else None
@@ -336,17 +340,13 @@ def check_times(name: str, values: Mapping[str, float], system: SystemInfo) -> N
 # described
 
 
-def by_fault(late: Sequence[Latency]) -> dict[str, list[Latency]]:
-    """Delays and filters, by the name of the fault and of the option that takes it out; only kinds that there are."""
-    out = {"sensor_delay": [d for d in late if not d.filtered], "sensor_lag": [d for d in late if d.filtered]}
-    return {name: some for name, some in out.items() if some}
-
-
 def latency_findings(late: Sequence[Latency], *, action: str = "reported") -> list[Finding]:
     """What the data summary says of late sensors, by the option that takes them out."""
     out = []
-    for key, some in by_fault(late).items():
-        how = "late" if key == "sensor_delay" else "late behind a filter"
+    for key, how in (("sensor_delay", "late"), ("sensor_lag", "late behind a filter")):
+        some = [d for d in late if d.fault == key]
+        if not some:
+            continue
         message = ", ".join(f"{d.channel} is {1e3 * d.seconds:.3g} ms {how} against {d.other}" for d in some)
         remedy = ", ".join(f"{d.channel}: {d.seconds:.3g}" for d in some)
         out_by = f"; `data.{key}={{{remedy}}}` takes it out"
@@ -371,14 +371,13 @@ def suspected_latency(log: LoggedRuns) -> list[Detected]:
 
 
 def _detected(late: Sequence[Latency], *, short: bool = False) -> Detected:
-    (name,) = by_fault(late)
     how = "late behind a filter, against" if late[0].filtered else "later than"
     words = ", ".join(f"{d.channel} is logged {1e3 * d.seconds:.3g} ms {how} {d.other}" for d in late)
     values = {d.channel: (d.seconds, d.low, d.high, "s") for d in late}
     text = f"Channels do not belong to the same time: {words}, as the one is the integral of the other."
     if any(d.either for d in late):
         text += " A filter of first order with that time constant would do as well: these data are too slow to tell."
-    return Detected(name, values, min(d.p for d in late), text, short)
+    return Detected(late[0].fault, values, min(d.p for d in late), text, short)
 
 
 # found by physics

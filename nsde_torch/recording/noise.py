@@ -64,13 +64,19 @@ def off_curve(x: Array, t: Array | None = None) -> Array:
     if t is None:
         out[2:-2] = x[2:-2] - (4.0 * (x[1:-3] + x[3:-1]) - (x[:-4] + x[4:])) / 6.0
         return out
-    n = len(x)
-    beside = [slice(2 + k, n - 2 + k) for k in (-2, -1, 1, 2)]
     out[2:-2] = x[2:-2]
+    for beside, weight in cubic(t):
+        out[2:-2] -= weight * x[beside]
+    return out
+
+
+def cubic(t: Array) -> list[tuple[slice, Array]]:
+    """The four neighbours of rows at times (n,), and their weights (n - 4,) in the cubic through them."""
+    beside = [slice(2 + k, len(t) - 2 + k) for k in (-2, -1, 1, 2)]
+    out = []
     for one in beside:  # Lagrange's polynomials
         others = [other for other in beside if other != one]
-        weight = np.prod([(t[2:-2] - t[other]) / (t[one] - t[other]) for other in others], 0)
-        out[2:-2] -= weight * x[one]
+        out.append((one, np.prod([(t[2:-2] - t[other]) / (t[one] - t[other]) for other in others], 0)))
     return out
 
 

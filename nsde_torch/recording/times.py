@@ -7,6 +7,7 @@ rows, nor distinguished from physics: it is taken out before.
 
 import itertools
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -19,7 +20,8 @@ from nsde_torch.data.streams import disorder, unrounded
 from nsde_torch.data.summary import data_set_of
 from nsde_torch.data.system_info import SystemInfo
 from nsde_torch.errors import DataError
-from nsde_torch.recording.latency import Latency, by_fault, latency_findings, on_time
+from nsde_torch.recording.latency import Latency, latency_findings, on_time
+from nsde_torch.recording.noise import cubic
 
 GAP_STEPS = 2.5
 """Steps without a row from which on the time between two rows is a gap, unless the caller says how long."""
@@ -303,13 +305,11 @@ def _evenly(run: RawRun, a: int, b: int, dt: float) -> float:
 
 def _roughness(t: Array, x: Array) -> Array:
     """Mean squares (nx,) of what cubics through two rows before and two behind leave of each, of equal noise."""
-    near = np.stack([t[k : len(t) - 4 + k] for k in (0, 1, 3, 4)], 1) - t[2:-2, None]
-    weights = np.ones_like(near)  # of Lagrange's polynomials, at the row
-    for j, k in itertools.permutations(range(4), 2):
-        weights[:, j] *= near[:, k] / (near[:, k] - near[:, j])
-    rows = np.stack([x[k : len(x) - 4 + k] for k in (0, 1, 3, 4)], 1)
-    left = x[2:-2] - (weights[..., None] * rows).sum(1)
-    return np.asarray((left**2 / (1.0 + (weights**2).sum(1))[:, None]).mean(0))
+    left, size = x[2:-2].copy(), np.ones((len(t) - 4, 1))
+    for beside, weight in cubic(t):
+        left -= weight[:, None] * x[beside]
+        size += weight[:, None] ** 2
+    return np.asarray((left**2 / size).mean(0))
 
 
 def is_longer(dt: float | None, own: float) -> bool:
@@ -320,17 +320,10 @@ def is_longer(dt: float | None, own: float) -> bool:
 def on_longer_step(data: DataSet, system: SystemInfo, dt: float, *, late: Sequence[Latency] = ()) -> DataSet:
     """The data set on a longer step `dt` [s]; `late` channels are moved first, if runs are long enough for it."""
     findings, runs = list(data.summary.findings), list(data.runs)
-    lags, delays = (
-        {d.channel: d.seconds for d in by_fault(late).get(name, ())}
-        for name in ("sensor_lag", "sensor_delay")
-    )
-    try:
-        runs = [on_time(run, system, {}, lags) for run in runs] if lags else runs
-        runs = [on_time(run, system, delays) for run in runs] if delays else runs
-    except DataError:
-        runs = list(data.runs)
-    else:
-        if late:
+    if late:
+        delays, lags = ({d.channel: d.seconds for d in late if d.filtered == f} for f in (False, True))
+        with suppress(DataError):
+            runs = [on_time(run, system, delays, lags) for run in runs]
             findings = [f for f in findings if f.kind != "late_sensor"]
             findings += latency_findings(late, action="taken out")
     runs = [_resampled(run, system, dt) for run in runs]

@@ -386,7 +386,7 @@ def _apart(system: System, runs: Sequence[Run], sensor: SensorGroup, smoother: S
         (change, integral)
         for run in runs
         for a, b in run.segments
-        for group, _, change, integral in axis_groups(system, np.asarray(run.x[a:b]), dt)
+        for group, change, integral, _ in axis_groups(system, np.asarray(run.x[a:b]), dt)
         if group == sensor.group
     ]
     if not parts:

@@ -80,6 +80,8 @@ class _Applied:
         self.names = {name: targets(system, name) for name in mapping.columns}
         self.notes = [Finding("log", log.name, 1, note, "reported") for note in log.notes]
         self.mapping = self._with_what_is_there(mapping)
+        q = () if system.quaternion is None else tuple(system.state_names[system.quaternion])
+        self.attitude = next((name for name in self.mapping.columns if self.names[name] == q), None)
         names, units = (*system.state_names, *system.input_names), (*system.state_units, *system.input_units)
         self.units = dict(zip(names, units, strict=True))
         self.columns: dict[str, Array] = {}
@@ -89,9 +91,10 @@ class _Applied:
 
     def run(self) -> RawRun:
         system = self.system
-        quaternion = self._attitude()
+        if self.attitude is not None:
+            self._read_attitude(self.attitude)
         for name, entry in self.mapping.columns.items():
-            if name != quaternion:
+            if name != self.attitude:
                 self._fill(name, entry)
         nothing = np.full(len(self.t), np.nan)
         x = np.column_stack([self.columns.get(name, nothing) for name in system.state_names])
@@ -138,23 +141,18 @@ class _Applied:
             )
         for name, entry in self.mapping.columns.items():
             wanted, got = len(self.names[name]), len(entry.source)
-            if wanted != got and not (got == 3 and self._is_attitude(name)):
+            if wanted != got and not (got == 3 and name == self.attitude):
                 raise ConfigError(
                     f"the mapping gives {got} column(s) for {name!r}, and {system.name!r} has {wanted}: "
                     f"{', '.join(self.names[name])}."
                 )
 
-    def _is_attitude(self, name: str) -> bool:
-        q = self.system.quaternion
-        return q is not None and self.names[name] == tuple(self.system.state_names[q])
-
     def _rows(self) -> Stream:
         """The stream whose rows the run has."""
-        attitude = [e for n, e in self.mapping.columns.items() if self._is_attitude(n)]
-        states = [e for n, e in self.mapping.columns.items() if self.names[n][0] in self.system.state_names]
-        if self.system.quaternion is not None and not attitude:
+        if self.system.quaternion is not None and self.attitude is None:
             raise ConfigError("the mapping has no entry `q` of all of the attitude; it is read as a whole.")
-        base = self._stream((attitude or states)[0])
+        state = next(n for n in self.mapping.columns if self.names[n][0] in self.system.state_names)
+        base = self._stream(self.mapping.columns[self.attitude or state])
         for stream in self._used():
             if not stream.timed:
                 raise DataError(
@@ -217,12 +215,7 @@ class _Applied:
             out.append(own if stream is self.base else (commands if held else linear)(stream, own, self.t))
         return np.concatenate(out, axis=1) * np.array(entry.sign or 1.0) * entry.scale
 
-    def _attitude(self) -> str | None:
-        """Read the quaternion; the name of its entry."""
-        q = self.system.quaternion
-        name = next((n for n in self.mapping.columns if self._is_attitude(n)), None)
-        if q is None or name is None:
-            return None
+    def _read_attitude(self, name: str) -> None:
         entry = self.mapping.columns[name]
         if len({id(self.log.find(source)[0]) for source in entry.source}) > 1:
             raise ConfigError(
@@ -244,9 +237,7 @@ class _Applied:
         values = attitude_between(values, ned=ned, frd=frd)
         if stream is not self.base:
             values = attitudes(stream, values, self.t)
-        for place, column in enumerate(self.system.state_names[q]):
-            self.columns[column] = values[:, place]
-        return name
+        self.columns |= zip(self.names[name], values.T, strict=True)
 
     def _fill(self, name: str, entry: ColumnEntry) -> None:
         system, names = self.system, self.names[name]
@@ -260,8 +251,7 @@ class _Applied:
                 if target is not None and entry.unit is not None:
                     values[:, place] *= factor(entry.unit, target, what=f"columns.{name}")
             values = self._turned(names, entry, values)
-        for place, column in enumerate(names):
-            self.columns[column] = values[:, place] + entry.offset
+        self.columns |= zip(names, values.T + entry.offset, strict=True)
 
     def _turned(self, names: Sequence[str], entry: ColumnEntry, values: Array) -> Array:
         """Vectors of the world to ENU, those of the body to FLU; a velocity of the body to the world."""

@@ -7,7 +7,7 @@ quantity make a proposal ambiguous: it is shown, and not used unseen.
 
 import difflib
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -338,7 +338,6 @@ class _Vehicle:
         if name in self.said:
             entry = self.said[name]
             stream, columns = self._of(entry)
-            kind = kinds.EULER if name == "q" and len(columns) == 3 else kind
             return [(Named(kind, stream.name, columns, entry.unit, entry.order), entry)]
         found = [one for one in kinds.pick(self.found, kind) if self._moves(one)]
         return [(one, ColumnEntry(one.sources, unit=one.unit, order=one.order)) for one in found[:_MOST]]
@@ -368,7 +367,7 @@ class _Vehicle:
         """A candidate as a quaternion on its own rows, and its entry with a unit."""
         stream = self.log.stream(one.stream)
         values = stream.columns(*one.columns)
-        if one.kind == kinds.EULER or len(one.columns) == 3:
+        if len(one.columns) == 3:  # Euler angles
             unit = entry.unit or ("deg" if np.nanmax(np.abs(values)) > 6.4 else "rad")
             values = from_euler_zyx(values * (np.pi / 180.0 if unit == "deg" else 1.0))
             return stream, values, replace(entry, unit=unit, order=None)
@@ -385,11 +384,15 @@ class _Vehicle:
         if len(sources) > 1:
             self.out.open.append(f"{what} may be {' or '.join(sources)}")
 
-    def _sound(self, tried: _Tried, most: float, first: str, second: str) -> _Tried:
-        """The pairs that agree, which are as good; the best, where none does."""
-        sound = [row for row in tried if row[0] < most] or [min(tried, key=lambda row: row[0])]
-        self._open(first, (row[2] for row in sound))
-        self._open(second, (row[3] for row in sound))
+    def _sound(self, tried: _Tried, most: float, **candidates: Sequence[tuple[Named, ColumnEntry]]) -> _Tried:
+        """The pairs that agree, which are as good; the best, where none does; none, where none moves."""
+        sound = [row for row in tried if row[0] < most] or (
+            [min(tried, key=lambda row: row[0])] if tried else []
+        )
+        for place, (name, found) in enumerate(candidates.items(), start=2):
+            self._open(
+                f"the {name}", [row[place] for row in sound] if sound else [entry for _, entry in found]
+            )
         return sound
 
     def _attitude(self, family: str | None = None) -> _Columns:
@@ -411,12 +414,9 @@ class _Vehicle:
                 left = [checks.attitude_left(stream.t, q, w, way) for way in ways]
                 if (k := checks.best(left)) is not None:
                     tried.append((left[k], one, entry, rate_entry, ways[k]))
-        if not tried:
-            one, entry = quaternions[0]
-            self._open("the attitude", (entry for _, entry in quaternions))
-            self._open("the rates", (entry for _, entry in rates))
-            return {"q": self._quaternion(one, entry)[2], **({"w": rates[0][1]} if rates else {})}
-        sound = self._sound(tried, checks.SOUND_ATTITUDE, "the attitude", "the rates")
+        sound = self._sound(tried, checks.SOUND_ATTITUDE, attitude=quaternions, rates=rates)
+        if not sound:
+            return {"q": self._quaternion(*quaternions[0])[2], **({"w": rates[0][1]} if rates else {})}
         sensors = [row for row in sound if any(word in " ".join(row[3].source).lower() for word in _SENSOR)]
         usual = quaternions[0][0]
         _, one, entry, rate_entry, way = min(
@@ -451,12 +451,10 @@ class _Vehicle:
                 left = [checks.velocity_left(stream.t, q, p, v, way) for way in ways]
                 if (k := checks.best(left)) is not None:
                     tried.append((left[k], one, entry, velocity_entry, ways[k]))
-        if not tried:
-            self._open("the position", (entry for _, entry in positions))
-            self._open("the velocity", (entry for _, entry in velocities))
+        sound = self._sound(tried, checks.NOISY_VELOCITY, position=positions, velocity=velocities)
+        if not sound:
             first = velocities[0][1]
             return {"p": positions[0][1], "v": replace(first, axes=first.axes or "world")}
-        sound = self._sound(tried, checks.NOISY_VELOCITY, "the position", "the velocity")
         _, one, entry, velocity_entry, way = min(sound, key=lambda row: row[0])
         source = tuple(velocity_entry.source[k] for k in way.places)
         velocity_entry = replace(velocity_entry, axes=way.axes, source=source)
@@ -471,11 +469,10 @@ class _Vehicle:
         if entry is None:
             return None
         stream, columns = self._of(entry)
-        one = Named(kinds.EULER if len(columns) == 3 else kinds.QUATERNION, stream.name, columns)
-        _, q, _ = self._quaternion(one, entry)
+        _, q, _ = self._quaternion(Named(kinds.QUATERNION, stream.name, columns), entry)
         if len(columns) == 4:
-            turns = entry.turns or "body to world"
-            q = checks.read_attitude(q, checks.AttitudeWay(entry.order or "wxyz", turns))
+            way = checks.AttitudeWay(entry.order or "wxyz", entry.turns or "body to world")
+            q = checks.read_attitude(q, way)
         return q if t is stream.t else attitudes(stream, q, t)
 
     def _axes(self, columns: _Columns) -> None:
@@ -502,12 +499,11 @@ class _Vehicle:
 
     def _motors(self) -> _Columns:
         wanted = len(self.system.input_names)
-        if "u" in self.said:
-            entry = self.said["u"]
-            if len(entry.source) == wanted:
-                return {"u": entry}
-            self.out.missing.append(f"{wanted} motors (the log has {len(entry.source)}: choose the system)")
-            return {}
+        said = self.said.get("u")
+        if said is not None and len(said.source) != wanted:
+            self.out.missing.append(f"{wanted} motors (the log has {len(said.source)}: choose the system)")
+        if said is not None:
+            return {"u": said} if len(said.source) == wanted else {}
         candidates: list[ColumnEntry] = []
         longer: list[ColumnEntry] = []
         for one in kinds.pick(self.found, kinds.MOTORS):

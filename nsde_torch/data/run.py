@@ -131,7 +131,8 @@ class Run:
         set_field(self, "u", _frozen("u", self.u, 2))
         set_field(self, "extra", {k: _frozen(f"extra[{k!r}]", v, 1) for k, v in self.extra.items()})
         n = len(self.t)
-        for name, array in (("x", self.x), ("u", self.u), *self.extra.items()):
+        arrays = {"t": self.t, "x": self.x, "u": self.u, **self.extra}
+        for name, array in arrays.items():
             if len(array) != n:
                 raise ShapeError(
                     f"run {self.name!r}: `{name}` must have one row for each of the {n} times; got "
@@ -151,7 +152,7 @@ class Run:
                     f"inside 0..{n}; got {segments}."
                 )
             previous = stop
-        for name, array in (("t", self.t), ("x", self.x), ("u", self.u), *self.extra.items()):
+        for name, array in arrays.items():
             # the sum is finite exactly when all entries are (barring overflow), and needs no mask of their size
             if not np.isfinite(array.sum()) and not np.isfinite(array).all():
                 row = int(np.argwhere(~np.isfinite(array))[0][0])

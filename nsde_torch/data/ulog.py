@@ -202,13 +202,12 @@ def _odometry(topic: Stream, path: Path) -> Array:
     f = topic.fields
     if "position[0]" in f:
         p, v, w = (topic.vector(name, 3) for name in ("position", "velocity", "angular_velocity"))
-        pose, frame = f["pose_frame"], f["velocity_frame"]
-        ned, frd, body = 1, 2, 3
+        pose, ned = f["pose_frame"], 1
     else:
         p, v = topic.columns("x", "y", "z"), topic.columns("vx", "vy", "vz")
         w = topic.columns("rollspeed", "pitchspeed", "yawspeed")
-        pose, frame = f["local_frame"], f["velocity_frame"]
-        ned, frd, body = 0, 1, 3
+        pose, ned = f["local_frame"], 0
+    frame, frd, body = f["velocity_frame"], ned + 1, 3
     q = topic.vector("q", 4)
     bad = ~np.isin(pose, (ned, frd))
     if bad.any():

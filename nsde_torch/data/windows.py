@@ -93,7 +93,7 @@ class Windows:
             self._x[first : first + len(run)].numpy()[...] = run.x
             self._u[first : first + len(run)].numpy()[...] = run.u
             ranges += [(first + a, first + b) for a, b in run.segments]
-        self._t = [run.t for run in runs]
+        self._t = np.concatenate([run.t for run in runs])
         self._x, self._u = self._x.to(device), self._u.to(device)
         self._smooth: Tensor | None = None
         self.start_share = torch.ones(self._x.shape[1], dtype=dtype, device=device)
@@ -158,12 +158,13 @@ class Windows:
 
     def locate(self, indices: Indices) -> list[tuple[str, int]]:
         """(run name, first sample in the run) of each window."""
-        return [(self.run_names[run], sample) for run, sample in self._places(self.rows(indices))]
+        rows = self.rows(indices)
+        names = [self.run_names[run] for run in np.searchsorted(self._first, rows, side="right") - 1]
+        return list(zip(names, self._samples(rows).tolist(), strict=True))
 
-    def _places(self, rows: NDArray[np.int64]) -> list[tuple[int, int]]:
-        """Number of the run of each row, and the row in it."""
-        runs = np.searchsorted(self._first, rows, side="right") - 1
-        return list(zip(runs.tolist(), (rows - self._first[runs]).tolist(), strict=True))
+    def _samples(self, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Rows of the joined runs, counted from the first row of their run."""
+        return rows - self._first[np.searchsorted(self._first, rows, side="right") - 1]
 
     def batch(self, indices: Indices) -> tuple[Tensor, Tensor, Tensor]:
         """Windows by their numbers (B,), each in 0..len - 1, else an IndexError.
@@ -180,8 +181,7 @@ class Windows:
         u = self._u[held]
         if self.stride > 1:
             u = u.unflatten(1, (self.horizon, self.stride)).mean(dim=2)
-        t0 = np.array([self._t[run][sample] for run, sample in self._places(rows)], dtype=np.float64)
-        return x, u, torch.from_numpy(t0).to(device)
+        return x, u, torch.from_numpy(self._t[rows]).to(device)
 
     def before(self, indices: Indices, steps: int) -> Tensor:
         """Inputs before windows, (B, steps, nu): means over the model's steps that end at the first row, oldest first.
@@ -220,28 +220,12 @@ class Windows:
             raise ConfigError(
                 f"`every_s` must be a whole multiple of the data's step of {self.dt:.6g} s; got {every_s:.6g}."
             )
-        if self._interventions is not None:
-            return self._at(self._interventions)
-        every = round(steps)
-        out = []
-        for (a, _), count, end in zip(self._ranges, self._counts, self._ends, strict=True):
-            if count <= 0:
-                continue
-            first = self._first[np.searchsorted(self._first, a, side="right") - 1]
-            offset = -(a - first) % every
-            out.append(np.arange(offset, count, every) + (end - count))
-        return torch.from_numpy(np.concatenate(out) if out else np.empty(0, dtype=np.int64))
-
-    def _at(self, stretches: Ranges) -> Tensor:
-        """Windows that start at the first row of a range (start, stop), where they fit into it."""
-        ends = self._ranges[:, 1]
-        out = []
-        for start, stop in stretches:
-            part = int(np.searchsorted(ends, start, side="right"))
-            inside = part < len(ends) and self._ranges[part, 0] <= start
-            if inside and start + self.span < min(stop, ends[part]):
-                out.append(start + self.span - ends[part] + self._ends[part])
-        return torch.from_numpy(np.array(out, dtype=np.int64))
+        rows = self.rows(np.arange(len(self)))
+        if self._interventions is None:
+            chosen = self._samples(rows) % round(steps) == 0
+        else:
+            chosen = np.isin(rows, [a for a, b in self._interventions if a + self.span < b])
+        return torch.from_numpy(np.flatnonzero(chosen))
 
     def held_out(
         self, fraction: float, block_s: float, generator: torch.Generator

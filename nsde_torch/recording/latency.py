@@ -14,8 +14,8 @@ A filter of first order, d x_log' + x_log = x, is late by d too, at low frequenc
 what each leaves of the equation above once it is undone, x(t) = x_log(t + d) or x = x_log + d x_log'. The second makes
 noise larger; therefore both channels are averaged first, which leaves them as late as they are.
 
-A sensor whose position and rate are late alike shows in the declared physics alone (`whole_sensor_late`). Times are
-seconds of the log's own clock.
+A sensor whose position and rate are late alike shows in the declared physics alone (`chain.instead_of_effects`).
+Times are seconds of the log's own clock.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -26,7 +26,7 @@ from typing import TypeAlias
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import uniform_filter1d
-from scipy.optimize import brentq, minimize_scalar
+from scipy.optimize import brentq
 from scipy.signal import lfilter
 from scipy.special import chdtrc, ndtri, stdtr
 
@@ -36,12 +36,10 @@ from nsde_torch.data.raw import Finding
 from nsde_torch.data.run import DataSet, Run
 from nsde_torch.data.system_info import SystemInfo, channel_columns, common_name
 from nsde_torch.errors import ConfigError, DataError
-from nsde_torch.recording.fault import NATS, Detected, LoggedRuns
+from nsde_torch.recording.fault import Detected, LoggedRuns
 
 _Piece: TypeAlias = tuple[Array, Array, Array]
 """Changes of positions over steps, integrals of their rates (n - 1, axes), and the rates (n, axes) of a stretch."""
-Misfits: TypeAlias = Callable[[Sequence[Run]], Array]
-"""Negative log likelihood per row [nats] of the declared physics in runs, by channel."""
 
 LATE = 1e-4  # chance of calling a sensor late that is on time, when data are read
 _LONGEST_S, _ITERATIONS = 0.5, 3
@@ -53,8 +51,6 @@ _AVERAGED, _FILTER_NATS = 4, 4.0
 """Times a delay, over which channels are averaged to separate it from a filter; and by how much that must be better."""
 _SURE_STEPS, _LEAST_STEPS = 0.6, 0.2
 """Steps by which a channel is late for sure, whatever a simulator does, and by which it matters at all."""
-_SENSOR_S, _SENSOR_NATS, _Z90 = 0.2, 20.0, 1.645
-"""Longest delay of a sensor as a whole, and how much likelier the log must be, as nothing else shows it."""
 
 
 @dataclass(frozen=True)
@@ -145,14 +141,13 @@ def _time_of(group: str, pieces: Sequence[_Piece], dt: float, *, filtered: bool)
     total = 0.0
     for _ in range(_ITERATIONS):
         data = _intervals([_undone(p, total / dt, dt, filtered=filtered) for p in pieces], dt)
-        times = [] if data is None else _times(group, data, dt)
-        if data is None or not times:
+        times = _times(group, data, dt)
+        if not times:
             return None
         pooled = pool(times)
         total += pooled.value
         if abs(total) > _LONGEST_S:
             return None  # another quantity
-    assert data is not None
     left = sum(log(_rest(data[:, :, int(t.axis)])) for t in times)
     left *= 0.25 * data.shape[1]  # intervals overlap by half
     return Uncertain(total, pooled.error, max(pooled.slopes - 1, _FOLDS - 1)), left
@@ -183,14 +178,12 @@ def _undone(piece: _Piece, rows: float, dt: float, *, filtered: bool) -> _Piece:
     return change[: keep - 1], integral[: keep - 1], rate[:keep]
 
 
-def _intervals(pieces: Sequence[_Piece], dt: float) -> Array | None:
-    """Gap, change of the rate (negative), its instrument and integral (4, intervals, axes); None of too few."""
+def _intervals(pieces: Sequence[_Piece], dt: float) -> Array:
+    """Gap, change of the rate (negative), its instrument and integral (4, intervals, axes)."""
     n = _span([rate for _, _, rate in pieces], dt)
-    rows = []
+    rows = [np.zeros((4, 0, pieces[0][2].shape[1]))]
     for change, integral, rate in pieces:
         starts = np.arange(1, len(rate) - n - 1, max(1, n // 2))
-        if not len(starts):
-            continue
         zero = np.zeros((1, rate.shape[1]))
         over, expected = (np.concatenate([zero, np.cumsum(a, 0)]) for a in (change - integral, integral))
         slope = (change[1:] + change[:-1]) / (2.0 * dt)  # at rows 1, 2, ...
@@ -198,14 +191,13 @@ def _intervals(pieces: Sequence[_Piece], dt: float) -> Array | None:
         gap, backwards = over[ends] - over[starts], rate[starts] - rate[ends]
         instrument = slope[starts - 1] - slope[ends - 1]
         rows.append(np.stack([gap, backwards, instrument, expected[ends] - expected[starts]]))
-    data = np.concatenate(rows, axis=1) if rows else None
-    return data if data is not None and data.shape[1] >= _FEWEST else None
+    return np.concatenate(rows, axis=1)
 
 
 def _times(group: str, data: Array, dt: float) -> list[Slope]:
-    """How late the position is by axis [s], of the axes that move."""
+    """How late the position is by axis [s], of the axes that move; of too few intervals none."""
     out = []
-    for axis in range(data.shape[2]):
+    for axis in range(data.shape[2] if data.shape[1] >= _FEWEST else 0):
         one = data[:, :, axis]
         if np.square(one[0]).sum() > _UNEXPLAINED * np.square(one[0] + one[3]).sum():
             continue  # it does not move as its rate says
@@ -378,69 +370,6 @@ def _detected(late: Sequence[Latency], *, short: bool = False) -> Detected:
     if any(d.either for d in late):
         text += " A filter of first order with that time constant would do as well: these data are too slow to tell."
     return Detected(late[0].fault, values, min(d.p for d in late), text, short)
-
-
-# found by physics
-
-
-def whole_sensor_late(
-    runs: Sequence[Run],
-    system: SystemInfo,
-    misfits: Misfits,
-    *,
-    rows: int,
-    other: float,
-    undone: Mapping[str, float],
-) -> tuple[Detected, tuple[Run, ...]] | None:
-    """One sensor, position and rate alike, that is late against all else, and the runs without it; None of none.
-
-    Kinematics do not show it, and effects that do the same pay for one channel with another. So it is asked for where
-    effects leave structure, has to do better than they, and no channel may pay for it: attitude and rates moved by the
-    time that motors lag behind would otherwise take their place. Arguments are those of `chain.instead_of_effects`;
-    `undone` is by how much sensors were late that are on time in the runs.
-    """
-    pairs = [(common_name(positions), common_name(rates)) for positions, rates in pairs_of(system).values()]
-    step = runs[0].dt
-    longest = min(_SENSOR_S / step, 0.1 * min(b - a for run in runs for a, b in run.segments))
-    if len(pairs) < 2 or longest < 1.0:  # no sensor is late by as much as a step
-        return None
-    unmoved = misfits(runs)
-    other = min(other, float(unmoved.sum()))
-
-    def moved_by(steps: float, pair: tuple[str, str]) -> list[Run]:
-        return [on_time(run, system, dict.fromkeys(pair, steps * step)) for run in runs]
-
-    def misfit(steps: float, pair: tuple[str, str]) -> float:
-        return float(misfits(moved_by(steps, pair)).sum())
-
-    best = (np.inf, 0.0, pairs[0])
-    for pair in pairs:
-        at, here = 1.0, misfit(1.0, pair)
-        while 2.0 * at <= longest and (there := misfit(2.0 * at, pair)) < here:
-            at, here = 2.0 * at, there
-        if here < min(other - NATS / rows, best[0]):
-            bounds = (0.5 * at, min(2.0 * at, longest))
-            nearer = minimize_scalar(
-                misfit, args=(pair,), bounds=bounds, method="bounded", options={"maxiter": 8}
-            )
-            best = min((here, at, pair), (float(nearer.fun), float(nearer.x), pair))
-    here, at, pair = best
-    if here > other - _SENSOR_NATS / rows:
-        return None
-    without = tuple(moved_by(at, pair))
-    if (misfits(without) > unmoved + NATS / rows).any():
-        return None
-    curvature = float(misfits(moved_by(1.5 * at, pair)).sum()) - here
-    half = _Z90 * 0.5 * at * step / max(2.0 * rows * curvature, 1e-12) ** 0.5
-    if half >= at * step:  # another time would do as well: what it does is no delay's
-        return None
-    wholes = {channel: at * step + undone.get(channel, 0.0) for channel in pair}
-    values = {channel: (whole, whole - half, whole + half, "s") for channel, whole in wholes.items()}
-    words = (
-        f"{' and '.join(pair)} are logged {1e3 * at * step:.3g} ms later than all else: the declared physics fits "
-        "better so than with any effects."
-    )
-    return Detected("sensor_delay", values, None, words), without
 
 
 # Streams whose clocks are offset against each other by another time in each run.

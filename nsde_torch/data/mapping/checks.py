@@ -511,12 +511,7 @@ def _attitude(t: Array, q: Array, w: Array, names: Sequence[str], mapping: LogMa
     sizes = ((1.0, ""), (np.pi / 180.0, "deg/s"), (180.0 / np.pi, "rad/s"))
     orders = (logged.order,) if len(entry.source) == 3 else ("wxyz", "xyzw")
     for order, turns in product(orders, TURNS):
-        other = q
-        if (order, turns) != (
-            logged.order,
-            logged.turns,
-        ):  # had its columns another order and another direction
-            other = attitude_between(read_attitude(raw, AttitudeWay(order, turns)), ned=ned, frd=frd)
+        other = attitude_between(read_attitude(raw, AttitudeWay(order, turns)), ned=ned, frd=frd)
         for (factor, unit), sign in product(sizes, (1.0, -1.0)):
             left = attitude_left(t, other, factor * w, AttitudeWay(signs=(1.0, sign, sign)))
             if left < best:

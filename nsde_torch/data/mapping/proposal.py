@@ -389,10 +389,9 @@ class _Vehicle:
         sound = [row for row in tried if row[0] < most] or (
             [min(tried, key=lambda row: row[0])] if tried else []
         )
-        for place, (name, found) in enumerate(candidates.items(), start=2):
-            self._open(
-                f"the {name}", [row[place] for row in sound] if sound else [entry for _, entry in found]
-            )
+        agree = [row[2] for row in sound], [row[3] for row in sound]
+        for (name, found), own in zip(candidates.items(), agree, strict=True):
+            self._open(f"the {name}", own or [entry for _, entry in found])
         return sound
 
     def _attitude(self, family: str | None = None) -> _Columns:

@@ -3,8 +3,9 @@
 import csv
 import difflib
 import shlex
+from array import array
 from collections.abc import Sequence
-from functools import partial
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -114,61 +115,47 @@ def _is_number(cell: str) -> bool:
     return True
 
 
-def _value(cell: str, *, needed: bool, date: bool) -> float:
-    """Of a column that the system does not need, words (a flight mode) are missing, and the run is read."""
-    when = from_date(cell) if date else None
-    if when is not None:
-        return when
-    nothing = cell.strip() in NOTHING or not (needed or _is_number(cell))
-    return np.nan if nothing else float(cell)
-
-
-def _explain(path: Path, names: Sequence[str], needed: Sequence[str]) -> DataError:
-    """Goes through a file that NumPy refused, cell by cell, for the place of the first fault."""
-    with path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
-        file.readline()
-        for number, line in enumerate(file, start=2):
-            if not line.strip():
-                continue
-            cells = [c.strip().strip('"') for c in line.rstrip("\r\n").split(",")]
-            if len(cells) != len(names):
-                return DataError(
-                    f"{path}:{number}: the row has {len(cells)} cells, the header {len(names)}. The file may "
-                    "be cut short, or a decimal comma splits a number."
-                )
-            for name, cell in zip(names, cells, strict=True):
-                date = name == TIME and from_date(cell) is not None
-                if name in needed and not (cell in NOTHING or _is_number(cell) or date):
-                    return DataError(
-                        f"{path}:{number}: column {name!r} holds {cell!r}; expected a number or `nan`."
-                    )
-    return DataError(
-        f"{path} could not be read as a table of numbers; save it as CSV in UTF-8, one row of numbers a line."
-    )
-
-
 def _table(path: Path, names: Sequence[str], needed: Sequence[str]) -> Array:
     """The numbers of a file, (n, columns); an empty cell is missing."""
     places.refuse_larger(path, 8.0 * places.count_rows(path) * len(names))
-    read = partial(np.loadtxt, path, delimiter=",", skiprows=1, ndmin=2, comments=None, encoding="utf-8-sig")
     try:
         with path.open(encoding="utf-8-sig") as file:
             file.readline()
             if not any(line.strip() for line in file):
                 raise DataError(f"{path} has a header and no rows; a run needs at least two rows.")
-        try:
-            table = read()
-        except ValueError:  # empty cells, dates and words are rare: only then the slower way through Python
-            kinds = enumerate((name in needed, name == TIME) for name in names)
-            of = {k: partial(_value, needed=is_needed, date=is_time) for k, (is_needed, is_time) in kinds}
-            table = read(quotechar='"', converters=of)
-    except DataError:
-        raise
-    except (ValueError, IndexError) as error:
-        raise _explain(path, names, needed) from error
-    if table.shape[1] != len(names):
-        raise _explain(path, names, needed)
-    return np.asarray(table, dtype=np.float64)
+        table: Array | None = None
+        with suppress(ValueError):  # empty cells, dates and words are rare: only then the slower way
+            table = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2, comments=None, encoding="utf-8-sig")
+        return table if table is not None and table.shape[1] == len(names) else _by_cells(path, names, needed)
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise DataError(
+            f"{path} could not be read as a table of numbers; save it as CSV in UTF-8, one row of numbers a line."
+        ) from error
+
+
+def _by_cells(path: Path, names: Sequence[str], needed: Sequence[str]) -> Array:
+    """The same cell by cell; of a column that the system does not need, words (a flight mode) are missing."""
+    out = array("d")
+    with path.open(encoding="utf-8-sig", newline="") as file:
+        file.readline()
+        rows = csv.reader(file)
+        for row in rows:
+            cells, place = [cell.strip() for cell in row], f"{path}:{rows.line_num + 1}"
+            if len(cells) < 2 and not any(cells):
+                continue
+            if len(cells) != len(names):
+                raise DataError(
+                    f"{place}: the row has {len(cells)} cells, the header {len(names)}. The file may be cut short, or "
+                    "a decimal comma splits a number."
+                )
+            for name, cell in zip(names, cells, strict=True):
+                value = from_date(cell) if name == TIME else None
+                if value is None and _is_number(cell):
+                    value = float(cell)
+                if value is None and name in needed and cell not in NOTHING:
+                    raise DataError(f"{place}: column {name!r} holds {cell!r}; expected a number or `nan`.")
+                out.append(np.nan if value is None else value)
+    return np.array(out).reshape(-1, len(names))
 
 
 def read_csv_file(path: str | Path, system: SystemInfo) -> RawRun:

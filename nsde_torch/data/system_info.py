@@ -57,13 +57,10 @@ def rate_pairs(system: SystemInfo) -> list[tuple[int, int]]:
 
 def rate_columns(system: SystemInfo) -> slice | None:
     """Columns of the body rates that belong to the quaternion, or None where there is no such pair."""
-    names = list(system.state_names)
-    if system.quaternion is None or not set(RATE_NAMES) <= set(names):
-        return None
-    first = names.index(RATE_NAMES[0])
-    if tuple(names[first : first + 3]) != RATE_NAMES:
-        return None
-    return slice(first, first + 3)
+    names = tuple(system.state_names)
+    first = names.index(RATE_NAMES[0]) if RATE_NAMES[0] in names else 0
+    found = system.quaternion is not None and names[first : first + 3] == RATE_NAMES
+    return slice(first, first + 3) if found else None
 
 
 def derivative_columns(system: SystemInfo) -> dict[str, tuple[list[int], list[int]]]:

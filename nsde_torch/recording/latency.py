@@ -284,15 +284,11 @@ def moved(x: Array, rows: float) -> Array:
     """Rows as they are `rows` later (earlier, if negative), by a cubic spline; at the end the last one is repeated."""
     k = np.arange(len(x), dtype=np.float64)
     at = np.clip(k + rows, 0.0, len(x) - 1.0)
-    if len(x) < 4:
-        return np.stack([np.interp(at, k, column) for column in x.T], 1)
     return np.asarray(CubicSpline(k, x)(at))
 
 
 def unfiltered(x: Array, rows: float) -> Array:
     """What a filter of first order with a time constant of `rows` was given, x + rows dx/drow by a cubic spline."""
-    if len(x) < 4:
-        return x
     return x + rows * np.asarray(CubicSpline(np.arange(len(x), dtype=np.float64), x)(np.arange(len(x)), 1))
 
 

@@ -161,8 +161,6 @@ def follows(t: Array, dt: float) -> bool:
 
 def _even(t: Array) -> Array | None:
     """Even times nearest to those of some rows (n,), of which each is less than half a step away; else None."""
-    if len(t) < 2:
-        return None
     rows = np.arange(len(t), dtype=float)
     slope, first = np.polyfit(rows, t - t[0], 1)
     out = t[0] + first + slope * rows

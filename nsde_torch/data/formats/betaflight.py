@@ -19,7 +19,6 @@ from nsde_torch.errors import DataError
 # it reports every file, and every event that it does not know
 logging.getLogger("orangebox").setLevel(logging.CRITICAL)
 _STATES = ("loopIteration", "flightModeFlags", "stateFlags", "failsafePhase")
-_MOST = 20_000_000  # frames of a log
 
 
 def open_betaflight(path: Path, *, index: int = 1) -> StreamLog:
@@ -33,8 +32,6 @@ def open_betaflight(path: Path, *, index: int = 1) -> StreamLog:
         for frame in parser.frames():
             values = (frame.data[k] for k in main)  # None of what no slow frame has given yet
             numbers.extend([float(v) if isinstance(v, int | float) else float("nan") for v in values])
-            if len(numbers) >= _MOST * len(main):
-                break
     except Exception as error:  # a log that ends with the battery ends without its last event
         if not numbers:
             raise unreadable(path, "Betaflight log", error) from error

@@ -21,7 +21,7 @@ from nsde_torch.data.quaternion import (
     swap_world,
 )
 from nsde_torch.data.raw import Finding, RawRun
-from nsde_torch.data.streams import SECONDS, Stream, StreamLog, attitudes, commands, linear
+from nsde_torch.data.streams import Stream, StreamLog, attitudes, commands, linear
 from nsde_torch.data.system_info import RATE_NAMES, SystemInfo
 from nsde_torch.errors import ConfigError, DataError
 
@@ -57,7 +57,6 @@ def order(numbering: str, motors: int) -> tuple[int, ...]:
 
 SLOWEST = 4.0  # slowest rate of a state, or of an input of a machine without motors of its own [Hz]
 MOTOR_RATE = 50.0  # slowest rate of motors [Hz], which answer within 50 ms
-_FASTEST = 2e4  # rate of a log [Hz]
 _FAR = 0.8  # share of the rows' rate below which a stream is reported as slow
 _BEYOND = 0.05
 """Share of the readings of inputs that may lie outside their range (Neural-Fly's flights in still air: 46 % of their
@@ -178,24 +177,12 @@ class _Applied:
             slowest = entry.slowest or (MOTOR_RATE if motors else SLOWEST)
             stream = self._stream(entry)
             if stream.rate < 0.95 * slowest:
-                clock = self._clock_hint(stream, slowest)
                 why = ", as gains and lags come out wrong of commands that change unseen" if motors else ""
                 raise DataError(
                     f"{self.log.source}: {name!r} ({stream.name or entry.source[0]}) was logged at {stream.rate:.3g} "
                     f"Hz; at least {slowest:g} Hz are needed{why}. Log it faster, or read it all the same with "
-                    f"`slowest: {max(np.floor(stream.rate), 0.01):g}` in its entry of the mapping.{clock}"
+                    f"`slowest: {max(np.floor(stream.rate), 0.01):g}` in its entry of the mapping."
                 )
-
-    def _clock_hint(self, stream: Stream, slowest: float) -> str:
-        """Another unit of the times in which a stream that is far too slow is as fast as logs are."""
-        clock = self.log.clock
-        if clock is None or clock.source is None or clock.unit is None:
-            return ""
-        for unit, seconds in SECONDS.items():
-            rate = stream.rate * SECONDS[clock.unit] / seconds
-            if unit != "min" and slowest < rate < _FASTEST and unit != clock.unit:
-                return f" Or its times are in {unit}, at {rate:.4g} Hz: `time: {{from: {clock.source}, unit: {unit}}}`."
-        return ""
 
     def _stream(self, entry: ColumnEntry) -> Stream:
         return self.log.find(entry.source[0])[0]

@@ -14,7 +14,7 @@ from nsde_torch.data.kinematics import Slope, pool
 from nsde_torch.data.quaternion import euler_zyx
 from nsde_torch.data.raw import Finding
 from nsde_torch.data.run import DataSet, Run, fingerprint
-from nsde_torch.data.system_info import SystemInfo, rate_columns
+from nsde_torch.data.system_info import SystemInfo, moving_columns
 
 _FIGURES = ("minimum", "q05", "median", "q95", "maximum")  # of a channel, over all segments
 # of the flight envelope of a multirotor (the supplement's Figure 15): the first and the last word of its keys, what
@@ -141,14 +141,13 @@ def _channel(name: str, unit: str, parts: Sequence[Array]) -> dict[str, Any]:
 
 def envelope(runs: Sequence[Run], system: SystemInfo) -> dict[str, float] | None:
     """Flight envelope of a multirotor; None for a system without position, velocity and attitude."""
-    names = list(system.state_names)
-    if system.quaternion is None or rate_columns(system) is None or not {"v_x", "v_y", "v_z"} <= set(names):
+    columns = moving_columns(system)
+    if columns is None:
         return None
-    v = [names.index(n) for n in ("v_x", "v_y", "v_z")]
     parts = []
     for run in runs:
         roll, pitch, yaw = euler_zyx(_inside(run, run.x[:, system.quaternion])).T
-        speed = np.linalg.norm(_inside(run, run.x[:, v]), axis=1)
+        speed = np.linalg.norm(_inside(run, run.x[:, columns[0]]), axis=1)
         mean = np.arctan2(np.sin(yaw).mean(), np.cos(yaw).mean())
         heading = np.arctan2(np.sin(yaw - mean), np.cos(yaw - mean))
         parts.append(np.stack([speed, *np.degrees(np.abs([roll, pitch, yaw, heading]))]))

@@ -63,6 +63,14 @@ def rate_columns(system: SystemInfo) -> slice | None:
     return slice(first, first + 3) if found else None
 
 
+def moving_columns(system: SystemInfo) -> tuple[list[int], slice] | None:
+    """Columns of the velocity and of the body rates of a vehicle that turns freely; None of other machines."""
+    names, rates = list(system.state_names), rate_columns(system)
+    if rates is None or not {"v_x", "v_y", "v_z"} <= set(names):
+        return None
+    return [names.index(n) for n in ("v_x", "v_y", "v_z")], rates
+
+
 def derivative_columns(system: SystemInfo) -> dict[str, tuple[list[int], list[int]]]:
     """Columns (positions, velocities) by group; a group has one frame, one unit and one name, so that norms exist.
 

@@ -16,7 +16,6 @@ from nsde_torch.data.system_info import SystemInfo, rate_columns, rate_pairs
 from nsde_torch.errors import DataError, ShapeError
 from nsde_torch.recording.noise import white
 
-_WRAPS, _ODD_WRAPS = 5, 0.3  # fewest wraps, and share of them that the rate contradicts
 _LARGEST = 1e15  # of a state or an input, in any unit: a simulation that diverged, a word read as a float
 MAX_RATE = 60.0  # body rate above which the column cannot be rad/s [rad/s] (3400 deg/s)
 ROUNDING = 1e-4
@@ -86,8 +85,7 @@ def unwrap_angles(run: RawRun, system: SystemInfo, report: Report) -> None:
     for k, (name, unit) in enumerate(zip(system.state_names, system.state_units, strict=True)):
         if unit != "rad" or name not in positions:
             continue
-        speed = run.x[:, list(system.state_names).index(positions[name])]
-        rate = np.abs(speed)
+        rate = np.abs(run.x[:, list(system.state_names).index(positions[name])])
         if np.nanmean(rate * step > np.pi / 2) > 0.005:
             raise DataError(
                 f"run {run.name!r}: {positions[name]!r} turns {name!r} by more than a quarter turn between rows "
@@ -95,19 +93,7 @@ def unwrap_angles(run: RawRun, system: SystemInfo, report: Report) -> None:
                 "hold degrees: multiply both by pi / 180. Otherwise record at a higher rate."
             )
         good = np.isfinite(run.x[:, k])
-        change = np.diff(run.x[good, k])
-        wrapped = np.abs(change) > np.pi
-        wraps = int(wrapped.sum())
-        if wraps >= _WRAPS:  # a wrap leaves what the rate says
-            speed = speed[good]
-            turned = np.remainder(change + np.pi, 2 * np.pi) - np.pi
-            off = np.abs(turned - step * 0.5 * (speed[1:] + speed[:-1]))[wrapped]
-            if np.nanmean(off > np.pi / 4) > _ODD_WRAPS:
-                raise DataError(
-                    f"run {run.name!r}: {name!r} changes by more than half a turn from row to row {wraps} times, and "
-                    f"{positions[name]!r} does not say so. Expected rad, perhaps the column holds degrees: multiply it "
-                    "by pi / 180."
-                )
+        wraps = int((np.abs(np.diff(run.x[good, k])) > np.pi).sum())
         if wraps:
             run.x = run.x.copy()
             run.x[good, k] = np.unwrap(run.x[good, k])

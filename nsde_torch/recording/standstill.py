@@ -32,7 +32,7 @@ from nsde_torch.arrays import Array, Mask
 from nsde_torch.data.quaternion import increments
 from nsde_torch.data.raw import Finding, RawRun, Report, holes
 from nsde_torch.data.run import Run
-from nsde_torch.data.system_info import RATE_NAMES, SystemInfo, rate_columns, rate_pairs
+from nsde_torch.data.system_info import RATE_NAMES, SystemInfo, moving_columns, rate_columns, rate_pairs
 from nsde_torch.errors import DataError
 from nsde_torch.recording.noise import quantum, white
 from nsde_torch.recording.times import GAP_STEPS
@@ -244,10 +244,11 @@ def _moves(column: Array) -> bool:
 
 def commands_in_motion(runs: Sequence[RawRun], system: SystemInfo) -> float | None:
     """Median of the mean command while a multirotor moves; None of another machine, or where it hardly moves."""
-    v = _velocity(system)
-    if v is None:
+    columns = moving_columns(system)
+    # what floats or rolls may well stand still on nothing
+    if columns is None or not system.input_names or any(n[:2] != "u_" for n in system.input_names):
         return None
-    parts = [run.u.mean(axis=1)[np.linalg.norm(run.x[:, v], axis=1) > _FLIES] for run in runs]
+    parts = [run.u.mean(axis=1)[np.linalg.norm(run.x[:, columns[0]], axis=1) > _FLIES] for run in runs]
     commands = np.concatenate(parts)
     commands = commands[np.isfinite(commands)]
     return float(np.median(commands)) if len(commands) >= _FEWEST_MOVING else None
@@ -275,20 +276,11 @@ def cut_ground(run: RawRun, system: SystemInfo, commands: float, report: Report)
     run.rows(~rows)
 
 
-def _velocity(system: SystemInfo) -> list[int] | None:
-    names = list(system.state_names)
-    motors = bool(system.input_names) and all(n.startswith("u_") for n in system.input_names)
-    if not motors or rate_columns(system) is None or not {"v_x", "v_y", "v_z"} <= set(names):
-        return None  # what floats or rolls may well stand still on nothing
-    return [names.index(n) for n in ("v_x", "v_y", "v_z")]
-
-
 def _grounded(run: RawRun, system: SystemInfo, commands: float) -> Mask:
-    v, rates = _velocity(system), rate_columns(system)
-    assert v is not None
-    assert rates is not None
     step = float(np.median(np.diff(run.t)))
-    moved, turned = run.x[:, v], run.x[:, rates]
+    columns = moving_columns(system)
+    assert columns is not None
+    moved, turned = (run.x[:, some] for some in columns)
     mean = run.u.mean(axis=1)
     low = (mean < LOW * commands) & _at_rest(moved, turned, _WINDOW_S / step)
     stands = (mean < _NEARLY * commands) & _at_rest(moved, turned, _SHORT_S / step)

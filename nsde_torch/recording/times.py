@@ -94,18 +94,18 @@ def fill_missing(run: RawRun, system: SystemInfo, *, gap: float, report: Report)
                 f"{run.label}: {names[int(empty[0])]!r} has no value in any row; record the channel, or leave the run "
                 "out."
             )
-    for name, channel in list(run.extra.items()):
+    extra = dict(run.extra)
+    for name, channel in run.extra.items():
         bad = np.isnan(channel)
         if bad.all():
-            run.extra = {k: v for k, v in run.extra.items() if k != name}
+            del extra[name]
             text = f"channel {name!r} has no value"
             report(Finding("empty_channel", run.name, len(channel), text, "dropped"))
         elif bad.any():
-            channel = channel.copy()
-            channel[bad] = np.interp(run.t[bad], run.t[~bad], channel[~bad])
-            run.extra = {**run.extra, name: channel}
+            extra[name] = np.interp(run.t, run.t[~bad], channel[~bad])
             text = f"channel {name!r} is missing in {float(bad.mean()):.1%} of the rows"
             report(Finding("missing_channel", run.name, int(bad.sum()), text, "interpolated"))
+    run.extra = extra
     row_bad = bad_x.any(axis=1) | bad_u.any(axis=1)
     if not row_bad.any():
         return

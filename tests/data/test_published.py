@@ -217,18 +217,11 @@ def test_a_huge_index_into_the_memo_is_refused_before_memory_is_taken(tmp_path: 
         load(tmp_path, b"\x80\x02}" + put + b".")
 
 
-def test_missing_files_folders_and_damage_are_named(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match="does not exist"):
-        read_pickle(tmp_path / "none.pkl")
+def test_folders_and_files_that_were_cut_short_are_named(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="is a folder"):
         read_pickle(tmp_path)
-    for content, message in (
-        (b"", "is empty"),
-        (b"hello", "not a readable pickle"),
-        (pickle.dumps(np.zeros((100, 3)))[:-700], "not a readable pickle"),
-    ):
-        with pytest.raises(DataError, match=message):
-            load(tmp_path, content)
+    with pytest.raises(DataError, match="not a readable pickle"):
+        load(tmp_path, pickle.dumps(np.zeros((100, 3)))[:-700])
 
 
 @settings(max_examples=200, deadline=None)

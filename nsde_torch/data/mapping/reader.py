@@ -160,10 +160,8 @@ def read_mapped(
     that does not fit the logs or the system.
     """
     files = log_files(kind, path)
-    beside = mapping_beside(path) if mapping is None else None
-    given = mapping if isinstance(mapping, LogMapping) else None
-    if given is None and (mapping or beside):
-        given = read_mapping(str(mapping or beside))
+    mapping = mapping or mapping_beside(path)
+    given = read_mapping(mapping) if isinstance(mapping, str | Path) else mapping
     runs: list[RawRun] = []
     proposed = given is None
     for file in files:

@@ -254,15 +254,13 @@ def on_time(
         [(channel_columns(system, channel), d / run.dt) for channel, d in times.items()]
         for times in (late, filters or {})
     )
-    x = run.x.copy()
-    for a, b in run.segments:
-        for columns, rows in filtered_by:
-            x[a:b, columns] = unfiltered(x[a:b, columns], rows)
-    segments = []
+    x, segments = run.x.copy(), []
     first, last = (max((0, *(int(np.ceil(s * rows - 1e-9)) for _, rows in moves))) for s in (-1, 1))
     for a, b in run.segments:
         if b - a - first - last < 2:
             continue
+        for columns, rows in filtered_by:
+            x[a:b, columns] = unfiltered(x[a:b, columns], rows)
         for columns, rows in moves:
             x[a:b, columns] = moved(x[a:b, columns], rows)
         if system.quaternion is not None:

@@ -153,22 +153,7 @@ def _entry(value: Any, what: str) -> ColumnEntry:
     return ColumnEntry(names, **out)
 
 
-def plain(mapping: LogMapping) -> dict[str, Any]:
-    """A mapping as plain containers; what is as it always is left out."""
-    clock = mapping.time
-    time = {"from": clock.source, "unit": clock.unit, "rate": clock.rate}
-    usual = (mapping.world, mapping.body) == ("ENU", "FLU")
-    out = {
-        "system": mapping.system,
-        "kind": mapping.kind,
-        "time": {key: value for key, value in time.items() if value is not None},
-        "frames": {} if usual else {"world": mapping.world, "body": mapping.body},
-        "columns": {name: _plain_entry(entry) for name, entry in mapping.columns.items()},
-    }
-    return {key: value for key, value in out.items() if value}
-
-
-def _plain_entry(entry: ColumnEntry) -> dict[str, Any]:
+def _plain(entry: ColumnEntry) -> dict[str, Any]:
     out: dict[str, Any] = {"from": entry.source[0] if len(entry.source) == 1 else list(entry.source)}
     for one in fields(ColumnEntry)[1:]:
         value = getattr(entry, one.name)
@@ -178,17 +163,19 @@ def _plain_entry(entry: ColumnEntry) -> dict[str, Any]:
 
 
 def text(mapping: LogMapping) -> str:
-    """A mapping as YAML, an entry a line."""
-    content = plain(mapping)
+    """A mapping as YAML, an entry a line; what is as it always is left out."""
 
     def flow(value: Any) -> str:
         out = yaml.safe_dump(value, default_flow_style=True, sort_keys=False, width=9999, allow_unicode=True)
         return str(out).strip()
 
-    lines = [f"{key}: {content[key]}" for key in ("system", "kind") if key in content]
-    lines += [f"{key}: {flow(content[key])}" for key in ("time", "frames") if key in content]
-    lines.append("columns:")
-    lines += [f"  {name}: {flow(entry)}" for name, entry in content["columns"].items()]
+    clock = {"from": mapping.time.source, "unit": mapping.time.unit, "rate": mapping.time.rate}
+    time = {key: value for key, value in clock.items() if value is not None}
+    usual = (mapping.world, mapping.body) == ("ENU", "FLU")
+    frames = {} if usual else {"world": mapping.world, "body": mapping.body}
+    lines = [f"{key}: {said}" for key, said in (("system", mapping.system), ("kind", mapping.kind)) if said]
+    lines += [f"{key}: {flow(table)}" for key, table in (("time", time), ("frames", frames)) if table]
+    lines += ["columns:", *(f"  {name}: {flow(_plain(entry))}" for name, entry in mapping.columns.items())]
     return "\n".join(lines) + "\n"
 
 

@@ -175,20 +175,15 @@ def _single(log: StreamLog, system: SystemInfo, said: Mapping[str, ColumnEntry],
     """Entries for the states and inputs of a machine without an attitude; those that the format gives are taken."""
     wanted_names = (*system.state_names, *system.input_names, *system.exogenous)
     columns: _Columns = {}
-    given: set[str] = set()
     for name, entry in said.items():
         own = targets(system, name)
         if set(own) <= set(wanted_names) and len(own) == len(entry.source):
             columns[name] = entry
-            given |= set(own)
-    free: dict[str, tuple[str, str | None]] = {}
-    still: set[str] = set()
-    for stream in log.streams:
-        for column, values in stream.fields.items():
-            name, unit = bare(column)
-            free[full(stream, column)] = (name, stream.units.get(column) or unit)
-            if not moving(values[:, None])[0]:
-                still.add(full(stream, column))
+    given = {one for name in columns for one in targets(system, name)}
+    every = {full(stream, column): (stream, column) for stream in log.streams for column in stream.fields}
+    still = {key for key, (stream, column) in every.items() if not moving(stream.columns(column))[0]}
+    named = {key: (bare(column), stream.units.get(column)) for key, (stream, column) in every.items()}
+    free = {key: (name, logged or unit) for key, ((name, unit), logged) in named.items()}
     names_of = list(free)
     rates = {rate: position for position, rate, _ in system.position_derivatives}
     for wanted in wanted_names:

@@ -114,21 +114,15 @@ def axis_groups(system: SystemInfo, x: Array, dt: float) -> list[tuple[str, Arra
     return out
 
 
-@dataclass(frozen=True)
-class Jump:
-    """A row after which a group of axes jumps by `size` (its unit) beyond what its rate explains."""
+def find_jumps(system: SystemInfo, x: Array, *, dt: float) -> list[tuple[int, str, float, float]]:
+    """Hidden gaps inside one segment (n, nx) of uniform step [s], in order; see the module's text for the test.
 
-    row: int
-    group: str
-    size: float
-    missing_s: float
-
-
-def find_jumps(system: SystemInfo, x: Array, *, dt: float) -> list[Jump]:
-    """Hidden gaps inside one segment (n, nx) of uniform step [s], in order; see the module's text for the test."""
+    Of each the row after which a group of axes jumps, the group, by how much beyond what its rate explains (its unit),
+    and about how much time is missing [s].
+    """
     if len(x) < 2 * NEIGHBOURHOOD:
         return []
-    found: dict[int, Jump] = {}
+    found: dict[int, tuple[int, str, float, float]] = {}
     for group, increment, integral, _ in axis_groups(system, x, dt):
         rest = increment - integral
         size = np.linalg.norm(rest, axis=1)
@@ -145,7 +139,7 @@ def find_jumps(system: SystemInfo, x: Array, *, dt: float) -> list[Jump]:
         for row in candidates[(size[candidates] > JUMP_ISOLATION * usual[candidates]) & ~returns[candidates]]:
             near = slice(max(0, row - 3), row + 4)
             missing = dt * float(size[row]) / max(float(np.median(speed[near])), 1e-12)
-            found.setdefault(int(row), Jump(int(row), group, float(size[row]), missing))
+            found.setdefault(int(row), (int(row), group, float(size[row]), missing))
     return [found[k] for k in sorted(found)]
 
 

@@ -35,14 +35,13 @@ _KINDS = {
 
 def _pairs(content: object, where: str) -> list[tuple[Array, Array]]:
     """The (states, inputs) pairs of a file, checked; entries that repeat an earlier one are left out."""
+    groups: list[object] = [content]
     if isinstance(content, dict):
         groups = [content[k] for k in ("train", "test") if k in content]
         if not groups:
             raise DataError(
                 f"{where}: expected the keys 'train' and 'test'; got {sorted(map(str, content))}."
             )
-    else:
-        groups = [content]
     pairs: list[tuple[Array, Array]] = []
     for group in groups:
         if not isinstance(group, list | tuple):

@@ -82,17 +82,14 @@ class Windows:
         total = int(lengths.sum())
         self._x = torch.empty(total, runs[0].x.shape[1], dtype=dtype)
         self._u = torch.empty(total, runs[0].u.shape[1], dtype=dtype)
-        ranges = []
-        self._interventions: Ranges | None = None  # rows (start, stop) in the joined runs, ascending
+        placed = list(zip(runs, self._first.tolist(), strict=True))
+        for run, at in placed:  # not by torch.from_numpy, which wants writable arrays
+            self._x[at : at + len(run)].numpy()[...] = run.x
+            self._u[at : at + len(run)].numpy()[...] = run.u
+        ranges = [(at + a, at + b) for run, at in placed for a, b in run.segments]
+        self._interventions: list[tuple[int, int]] | None = None  # rows (start, stop) in the joined runs
         if interventional(runs):
-            pairs = zip(runs, self._first, strict=True)
-            rows = [(a + at, b + at) for run, at in pairs for a, b in stretches(run) or ()]
-            self._interventions = np.array(rows, dtype=np.int64).reshape(-1, 2)
-        for first, run in zip(self._first.tolist(), runs, strict=True):
-            # torch.from_numpy wants a writable array; copy_ only reads it
-            self._x[first : first + len(run)].numpy()[...] = run.x
-            self._u[first : first + len(run)].numpy()[...] = run.u
-            ranges += [(first + a, first + b) for a, b in run.segments]
+            self._interventions = [(at + a, at + b) for run, at in placed for a, b in stretches(run) or ()]
         self._t = np.concatenate([run.t for run in runs])
         self._x, self._u = self._x.to(device), self._u.to(device)
         self._smooth: Tensor | None = None

@@ -96,26 +96,22 @@ def _split_at_jumps(
     system: SystemInfo, run: RawRun, segments: tuple[tuple[int, int], ...], dt: float, report: Report
 ) -> tuple[tuple[int, int], ...]:
     jumps = [
-        replace(jump, row=a + jump.row)
+        (a + row, group, size, lost)
         for a, b in segments
-        for jump in kinematics.find_jumps(system, run.x[a:b], dt=dt)
+        for row, group, size, lost in kinematics.find_jumps(system, run.x[a:b], dt=dt)
     ]
     if not jumps:
         return segments
-    cuts = sorted({row for segment in segments for row in segment} | {jump.row + 1 for jump in jumps})
+    cuts = sorted({row for segment in segments for row in segment} | {row + 1 for row, *_ in jumps})
     kept = tuple((a, b) for a, b in pairwise(cuts) if b - a >= 2)
     axes = {group: positions for group, (positions, _) in kinematics.pairs_of(system).items()}
     shown = ", ".join(
-        f"{j.size:.3g} in {kinematics.called(j.group, axes[j.group])} after row {j.row}, about {j.missing_s:.2g} s lost"
-        for j in jumps[:3]
+        f"{size:.3g} in {kinematics.called(group, axes[group])} after row {row}, about {lost:.2g} s lost"
+        for row, group, size, lost in jumps[:3]
     )
     text = f"{len(jumps)} jumps without a gap in the clock ({shown}{', ...' if len(jumps) > 3 else ''})"
-    values = {
-        "rows": [j.row for j in jumps],
-        "sizes": [j.size for j in jumps],
-        "groups": [j.group for j in jumps],
-        "missing_s": [j.missing_s for j in jumps],
-    }
+    rows, groups, sizes, missing = map(list, zip(*jumps, strict=True))
+    values = {"rows": rows, "sizes": sizes, "groups": groups, "missing_s": missing}
     report(Finding("hidden_gap", run.name, len(jumps), text, "split", values))
     return kept
 

@@ -87,60 +87,51 @@ def _after_resets(sources: Sequence[Stream], t: Array) -> tuple[Mask, int]:
 
 # Sticks and setpoints of PX4 logs as further columns: signals that a loop may be moved by from outside.
 #
-# | columns | topic | |---|---| | `stick_roll`, `stick_pitch`, `stick_yaw`, `stick_throttle` |
-# `manual_control_setpoint`, as logged | | `setpoint_roll`, `setpoint_pitch`, `setpoint_yaw` [rad],
-# `setpoint_thrust` | `vehicle_attitude_setpoint`, FLU in ENU | | `setpoint_rate_x`, `setpoint_rate_y`,
-# `setpoint_rate_z` [rad/s] | `vehicle_rates_setpoint`, FLU |
-#
-# Sticks are outside the loop while a pilot flies by them; setpoints are in the modes in which no outer loop
-# makes them (`nsde train` tests it). Values are held from message to message. Fields: PX4 message
-# definitions, 1.13 to 1.16.
+# Sticks are outside the loop while a pilot flies by them; setpoints are in the modes in which no outer loop makes
+# them (`nsde train` tests it). Values are held from message to message. Fields: PX4 message definitions, 1.13 to 1.16.
 
 _KNOWN = 0.5  # share of the rows that must have a value
+_SETPOINTS: dict[str, dict[str, tuple[float, tuple[str, ...]]]] = {
+    "manual_control_setpoint": {  # names of PX4 1.14 and later, and before
+        "stick_roll": (1.0, ("roll", "y")), "stick_pitch": (1.0, ("pitch", "x")), "stick_yaw": (1.0, ("yaw", "r")),
+        "stick_throttle": (1.0, ("throttle", "z")),
+    },
+    "vehicle_attitude_setpoint": {"setpoint_thrust": (-1.0, ("thrust_body[2]",))},
+    "vehicle_rates_setpoint": {  # [rad/s], in FLU
+        "setpoint_rate_x": (1.0, ("roll",)), "setpoint_rate_y": (-1.0, ("pitch",)), "setpoint_rate_z": (-1.0, ("yaw",)),
+    },
+}  # fmt: skip
+"""By topic and column: the sign, and what the field is called."""
 
 
 def _setpoint_columns(topics: Mapping[str, Sequence[Stream]], t: Array) -> dict[str, Array]:
     """Columns at the times `t` (n,) [s], of the topics that a log has."""
     out: dict[str, Array] = {}
-    for topic, make in _SETPOINTS.items():
+    for topic, columns in _SETPOINTS.items():
         for stream in topics.get(topic, ())[:1]:
+            given = _angles(stream)
+            for name, (sign, fields) in columns.items():
+                field = next((field for field in fields if field in stream.fields), None)
+                if field is not None:
+                    given[name] = sign * stream.fields[field]
             left = np.searchsorted(stream.t, t, side="right") - 1
-            for name, values in make(stream.fields).items():
-                known = np.where(left >= 0, values[np.clip(left, 0, None)], np.nan)
-                if np.isfinite(known).mean() >= _KNOWN:
-                    out[name] = known
+            for name, values in given.items():
+                held_there = np.where(left >= 0, values[np.clip(left, 0, None)], np.nan)
+                if np.isfinite(held_there).mean() >= _KNOWN:
+                    out[name] = held_there
     return out
 
 
-def _sticks(fields: Mapping[str, Array]) -> dict[str, Array]:
-    names = {"roll": "y", "pitch": "x", "yaw": "r", "throttle": "z"}  # of PX4 1.14 and later, and before
-    known = {f"stick_{new}": new if new in fields else old for new, old in names.items()}
-    return {stick: fields[name] for stick, name in known.items() if name in fields}
+def _angles(stream: Stream) -> dict[str, Array]:
+    """Roll, pitch and yaw that an attitude is to have, FLU in ENU [rad]."""
+    if "q_d[0]" not in stream.fields:
+        return {}
+    roll, pitch, yaw = euler_zyx(attitude_to_enu(stream.vector("q_d", 4))).T
+    good = np.isfinite(yaw)
+    yaw[good] = np.unwrap(yaw[good])
+    return {"setpoint_roll": roll, "setpoint_pitch": pitch, "setpoint_yaw": yaw}
 
 
-def _attitude(fields: Mapping[str, Array]) -> dict[str, Array]:
-    out = {}
-    if all(f"q_d[{k}]" in fields for k in range(4)):
-        q = attitude_to_enu(np.stack([fields[f"q_d[{k}]"] for k in range(4)], 1))
-        out = {f"setpoint_{a}": v for a, v in zip(("roll", "pitch", "yaw"), euler_zyx(q).T, strict=True)}
-        yaw = out["setpoint_yaw"]
-        good = np.isfinite(yaw)
-        yaw[good] = np.unwrap(yaw[good])
-    if "thrust_body[2]" in fields:
-        out["setpoint_thrust"] = -fields["thrust_body[2]"]
-    return out
-
-
-def _rates(fields: Mapping[str, Array]) -> dict[str, Array]:
-    signs = (("x", "roll", 1.0), ("y", "pitch", -1.0), ("z", "yaw", -1.0))
-    return {f"setpoint_rate_{a}": sign * fields[name] for a, name, sign in signs if name in fields}
-
-
-_SETPOINTS = {
-    "manual_control_setpoint": _sticks,
-    "vehicle_attitude_setpoint": _attitude,
-    "vehicle_rates_setpoint": _rates,
-}
 STATE_NAMES = ("p_x", "p_y", "p_z", "v_x", "v_y", "v_z", "q_w", "q_x", "q_y", "q_z", "w_x", "w_y", "w_z")
 SOURCES = ("auto", "odometry", "attitude")
 _PARTS = ("vehicle_attitude", "vehicle_local_position", "vehicle_angular_velocity")

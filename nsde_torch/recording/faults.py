@@ -11,6 +11,7 @@ from dataclasses import make_dataclass, replace
 from math import ceil, isfinite, pi
 from typing import TYPE_CHECKING, Any, ClassVar, final
 
+from nsde_torch.data.system_info import SystemInfo, channel_columns, rate_columns
 from nsde_torch.errors import ConfigError
 from nsde_torch.lazy import LazyModule
 from nsde_torch.options import documented, key
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
 
     from nsde_torch.data.raw import RawRun
     from nsde_torch.data.run import Run
-    from nsde_torch.data.system_info import SystemInfo
     from nsde_torch.recording import clock_and_biases, latency, noise, smoothing
 else:
     np = LazyModule("numpy")
@@ -57,10 +57,14 @@ class _Latency(Fault):
     filtered: ClassVar[bool]
 
     def check(self, value: Any, system: SystemInfo) -> None:
-        latency.check_times(self.name, value, system)
+        for channel, seconds in value.items():
+            channel_columns(system, channel)
+            if not (isfinite(seconds) and seconds >= 0):
+                raise ConfigError(f"`{self.name}.{channel}` must be a time of 0 s or more; got {seconds!r}.")
 
     def detect(self, log: LoggedRuns) -> Detected | None:
-        return latency.found_latency(log, filtered=self.filtered)
+        late = [one for one in log.late[1] if one.filtered == self.filtered]
+        return latency.detected(late) if late else None
 
 
 @final
@@ -320,22 +324,15 @@ class TurnedFrame(Fault):
             )
 
     def simulate(self, run: RawRun, value: Any, system: SystemInfo, *, dt: float, rng: Generator) -> None:
-        import torch
+        from nsde_torch.data.quaternion import conjugate, multiply, rotate
 
-        from nsde_torch.data.system_info import rate_columns
-        from nsde_torch.rotation import rotate_back, turned
-
-        assert system.quaternion is not None
-        x = run.x.copy()
-        q = torch.from_numpy(x[:, system.quaternion])
-        angle = torch.from_numpy(np.asarray(value) * (pi / 180.0)).expand(len(x), 3)
-        identity = torch.zeros_like(q)
-        identity[:, 0] = 1.0
-        x[:, system.quaternion] = turned(q, angle).numpy()
-        rates = rate_columns(system)
+        half = 0.5 * np.radians(value)
+        angle, rates = float(np.linalg.norm(half)), rate_columns(system)
+        turn = np.append(np.cos(angle), np.sinc(angle / pi) * half)
+        run.x = run.x.copy()
+        run.x[:, system.quaternion] = multiply(run.x[:, system.quaternion], turn)
         if rates is not None:
-            x[:, rates] = rotate_back(turned(identity, angle), torch.from_numpy(x[:, rates].copy())).numpy()
-        run.x = x
+            run.x[:, rates] = rotate(conjugate(turn), run.x[:, rates])
 
 
 @final

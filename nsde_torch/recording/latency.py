@@ -315,14 +315,6 @@ def changed(
     return x
 
 
-def check_times(name: str, values: Mapping[str, float], system: SystemInfo) -> None:
-    """Refuse times of an option that are of no state, or below 0 s."""
-    for channel, value in values.items():
-        channel_columns(system, channel)
-        if not (isfinite(value) and value >= 0):
-            raise ConfigError(f"`{name}.{channel}` must be a time of 0 s or more; got {value!r}.")
-
-
 # described
 
 
@@ -342,21 +334,16 @@ def latency_findings(late: Sequence[Latency], *, action: str = "reported") -> li
     return out
 
 
-def found_latency(log: LoggedRuns, *, filtered: bool) -> Detected | None:
-    """Channels of a log that are surely delayed, or filtered, as one finding; None for none."""
-    late = [d for d in log.late[1] if d.filtered == filtered]
-    return _detected(late) if late else None
-
-
 def suspected_latency(log: LoggedRuns) -> list[Detected]:
     """Channels that are late by less than what is sure; physics has to say, as a simulator may step so."""
     (late, sure), level = log.late, log.level("lateness")
     least = _LEAST_STEPS * log.runs[0].dt
     some = [d for d in late if d.p * len(late) < level and d.low > least and d not in sure]
-    return [_detected([d], short=True) for d in some]
+    return [detected([d], short=True) for d in some]
 
 
-def _detected(late: Sequence[Latency], *, short: bool = False) -> Detected:
+def detected(late: Sequence[Latency], *, short: bool = False) -> Detected:
+    """Channels that are delayed, or filtered, as one finding."""
     how = "late behind a filter, against" if late[0].filtered else "later than"
     words = ", ".join(f"{d.channel} is logged {1e3 * d.seconds:.3g} ms {how} {d.other}" for d in late)
     values = {d.channel: (d.seconds, d.low, d.high, "s") for d in late}

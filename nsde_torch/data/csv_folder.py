@@ -13,7 +13,7 @@ import numpy as np
 from nsde_torch.arrays import Array
 from nsde_torch.data import places
 from nsde_torch.data.places import LONGEST, NOTHING, files_of, log_place
-from nsde_torch.data.raw import RawRun
+from nsde_torch.data.raw import RawRun, run_of
 from nsde_torch.data.run import DataSet
 from nsde_torch.data.streams import from_date
 from nsde_torch.data.system_info import SystemInfo
@@ -177,13 +177,8 @@ def read_csv_file(path: str | Path, system: SystemInfo) -> RawRun:
             f"{path}:{row + 2}: column {names[column]!r} is infinite; write `nan` where a value is missing."
         )
     columns = dict(zip(names, table.T, strict=True))
-    t, nothing = columns.pop(TIME).copy(), np.full(len(table), np.nan)
-    x = np.stack([columns.pop(name, nothing) for name in system.state_names], axis=1)
-    u = np.zeros((len(table), len(system.input_names)))
-    for k, name in enumerate(system.input_names):
-        u[:, k] = columns.pop(name, 0.0)
-    extra = {name: values.copy() for name, values in columns.items()}
-    return RawRun(path.stem, t, x, u, extra=extra, source=str(path), first_line=2)
+    t = columns.pop(TIME).copy()
+    return run_of(columns, t, system, name=path.stem, source=str(path), first_line=2)
 
 
 def read_csv(system: SystemInfo, *, path: str | Path) -> list[RawRun]:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.arrays import Array
+from nsde_torch.data.system_info import SystemInfo
 
 
 @dataclass(frozen=True)
@@ -65,6 +66,19 @@ class RawRun:
         self.t, self.x, self.u = self.t[index], self.x[index], self.u[index]
         self.extra = {k: v[index] for k, v in self.extra.items()}
         self.first_line = None
+
+
+def run_of(
+    columns: Mapping[str, Array], t: Array, system: SystemInfo, *, name: str, source: str, **more: Any
+) -> RawRun:
+    """A run from columns by name: a state that is not there is missing, an input zero; others are further columns."""
+    nothing, u = np.full(len(t), np.nan), np.zeros((len(t), len(system.input_names)))
+    x = np.column_stack([columns.get(state, nothing) for state in system.state_names])
+    for k, one in enumerate(system.input_names):
+        u[:, k] = columns.get(one, 0.0)
+    own = {*system.state_names, *system.input_names}
+    extra = {key: values.copy() for key, values in columns.items() if key not in own}
+    return RawRun(name, t, x, u, extra=extra, source=source, **more)
 
 
 def holes(bad: NDArray[np.bool_]) -> list[tuple[int, int]]:

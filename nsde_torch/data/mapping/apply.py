@@ -20,7 +20,7 @@ from nsde_torch.data.quaternion import (
     swap_body,
     swap_world,
 )
-from nsde_torch.data.raw import Finding, RawRun
+from nsde_torch.data.raw import Finding, RawRun, run_of
 from nsde_torch.data.streams import Stream, StreamLog, attitudes, commands, linear
 from nsde_torch.data.system_info import RATE_NAMES, SystemInfo
 from nsde_torch.errors import ConfigError, DataError
@@ -89,20 +89,13 @@ class _Applied:
         self.t = self.base.t
 
     def run(self) -> RawRun:
-        system = self.system
         if self.attitude is not None:
             self._read_attitude(self.attitude)
         for name, entry in self.mapping.columns.items():
             if name != self.attitude:
                 self._fill(name, entry)
-        nothing = np.full(len(self.t), np.nan)
-        x = np.column_stack([self.columns.get(name, nothing) for name in system.state_names])
-        u = np.zeros((len(self.t), len(system.input_names)))
-        for k, name in enumerate(system.input_names):
-            u[:, k] = self.columns.get(name, 0.0)
-        own = (*system.state_names, *system.input_names)
-        extra = {name: values for name, values in self.columns.items() if name not in own}
-        run = RawRun(self.log.name, self.t - self.t[0], x, u, extra=extra, source=self.log.source)
+        t = self.t - self.t[0]
+        run = run_of(self.columns, t, self.system, name=self.log.name, source=self.log.source)
         run.notes += self.notes
         slow = sorted({s.name for s in self._used() if s.rate < _FAR * self.base.rate and s.name})
         if slow:

@@ -93,7 +93,7 @@ def attitude_left(t: Array, q: Array, w: Array, way: AttitudeWay) -> float:
     size = np.pi / 180.0 if way.unit == "deg/s" else 1.0
     turned = increments(read_attitude(q, way))
     rate = size * w * np.array(way.signs)
-    return motion_left(t, turned, 0.5 * (rate[1:] + rate[:-1]))
+    return motion_left(t, turned, rate)
 
 
 def velocity_left(t: Array, q: Array | None, p: Array, v: Array, way: VelocityWay) -> float:
@@ -107,20 +107,12 @@ def velocity_left(t: Array, q: Array | None, p: Array, v: Array, way: VelocityWa
         if q is None:
             return float("nan")
         rate = rotate(q, rate)
-    return motion_left(t, np.diff(p, axis=0), 0.5 * (rate[1:] + rate[:-1]))
-
-
-def noise_share(t: Array, p: Array) -> float:
-    """Share of the movement of positions (n, axes) over 0.25 s that is white noise; all, where they rest."""
-    length = max(1, round(INTERVAL_S / float(np.median(np.diff(t)))))
-    moved = np.diff(p[::length], axis=0)
-    noise = 1.4826 * np.nanmedian(np.abs(np.diff(p, 5, axis=0)), axis=0) / 252.0**0.5
-    return float(2.0 * np.square(noise).sum() / max(np.nanvar(moved, axis=0).sum(), 1e-300))
+    return motion_left(t, np.diff(p, axis=0), rate)
 
 
 def motion_left(t: Array, change: Array, rate: Array) -> float:
-    """Share of changes from row to row (n - 1, k), over 0.25 s, that mean rates leave; nan of too little motion."""
-    dt = np.diff(t)
+    """Share of changes from row to row (n - 1, k), over 0.25 s, that rates (n, k) leave; nan of too little motion."""
+    dt, rate = np.diff(t), 0.5 * (rate[1:] + rate[:-1])
     usual = float(np.median(dt))
     length = max(1, round(INTERVAL_S / usual))
     good = np.isfinite(change).all(axis=1) & np.isfinite(rate).all(axis=1) & (dt < 2.5 * usual)
@@ -253,7 +245,7 @@ def percent(share: float) -> str:
 
 def pair_left(t: Array, p: Array, v: Array) -> float:
     """Share of the movement of one position (n,) over 0.25 s that its rate (n,) leaves; nan of too little motion."""
-    return motion_left(t, np.diff(p)[:, None], 0.5 * (v[1:] + v[:-1])[:, None])
+    return motion_left(t, np.diff(p)[:, None], v[:, None])
 
 
 def _times(system: SystemInfo, run: RawRun, mapping: LogMapping) -> LogCheck | None:
@@ -611,8 +603,12 @@ def _axis(system: SystemInfo, run: RawRun, i: int, j: int, mapping: LogMapping) 
 
 
 def _noise_alone(t: Array, p: Array, left: float) -> bool:
-    """Whether what rates leave of positions (n, axes) is no more than their noise explains."""
-    return left <= NOISY_VELOCITY + 2.0 * noise_share(t, p)
+    """Whether what rates leave of positions (n, axes) over 0.25 s is no more than their white noise explains."""
+    length = max(1, round(INTERVAL_S / float(np.median(np.diff(t)))))
+    moved = np.diff(p[::length], axis=0)
+    noise = 1.4826 * np.nanmedian(np.abs(np.diff(p, 5, axis=0)), axis=0) / 252.0**0.5
+    share = float(2.0 * np.square(noise).sum() / max(np.nanvar(moved, axis=0).sum(), 1e-300))
+    return left <= NOISY_VELOCITY + 2.0 * share
 
 
 def _exchanged(

@@ -20,8 +20,7 @@ from nsde_torch.data.readers import READERS
 from nsde_torch.models.options import MODELS
 from nsde_torch.px4.options import Limits, SetpointLimits
 from nsde_torch.recording.faults import RemedyOptions
-from nsde_torch.sde.names import STEP_HOMES
-from nsde_torch.sde.options import IntegratorOptions, TorchDiffEqOptions
+from nsde_torch.sde.options import STEP_HOMES, IntegratorOptions, TorchDiffEqOptions
 from nsde_torch.systems.names import SYSTEM_HOMES
 from nsde_torch.systems.options import SystemOptions
 from nsde_torch.training.options import LossOptions, TrainerOptions

@@ -15,13 +15,11 @@ from nsde_torch.sde import SDE, Step, Time, within
 
 @final
 class Ralston(Step):
-    """Ralston's second-order method; two drifts a step."""
+    """Ralston's second-order method; two drifts a step. f smooth in z within a step."""
 
     name = "ralston"
     calculus = "none"
     strong_order = 2.0
-    condition = "sigma = 0; f smooth in z within a step"
-    summary = "no noise, order 2, two drifts a step"
     deterministic = True
 
     def advance(self, sde: SDE, t: Time, z: Tensor, u: Tensor, dt: Time, dw: Tensor | None) -> Tensor:

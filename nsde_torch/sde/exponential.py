@@ -155,22 +155,18 @@ class _Exponential(Step):
 
 @final
 class Exponential(_Exponential):
-    """Exponential Rosenbrock step without noise."""
+    """Exponential Rosenbrock step without noise: n slopes and two drifts."""
 
     name = "exponential"
     calculus = "none"
     strong_order = 3.0
-    condition = "sigma = 0; f smooth in z within a step, but for what is linear"
-    summary = "no noise, order 3, for what settles within a step: n slopes and two drifts"
     deterministic = True
 
 
 @final
 class ExponentialMaruyama(_Exponential):
-    """The same with additive noise."""
+    """The same with additive noise: one diffusion more; order 1 if g does not depend on z."""
 
     name = "exponential_maruyama"
     calculus = "ito"
     strong_order = 0.5
-    condition = "f and g Lipschitz with linear growth; order 1 if g does not depend on z"
-    summary = "Ito, strong order 0.5, for what settles within a step: n slopes, two drifts and one diffusion"

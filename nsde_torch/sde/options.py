@@ -10,6 +10,27 @@ from nsde_torch.options import Checked, documented, key
 if TYPE_CHECKING:
     from nsde_torch.sde.step import Step
 
+STEP_HOMES: dict[str, str] = {
+    "euler_maruyama": "nsde_torch.sde.steps:EulerMaruyama",
+    "heun": "nsde_torch.sde.steps:Heun",
+    "milstein": "nsde_torch.sde.steps:MilsteinItoFree",
+    "milstein_stratonovich_free": "nsde_torch.sde.steps:MilsteinStratonovichFree",
+    "milstein_ito": "nsde_torch.sde.steps:MilsteinIto",
+    "milstein_stratonovich": "nsde_torch.sde.steps:MilsteinStratonovich",
+    "milstein_heun": "nsde_torch.sde.steps:MilsteinHeun",
+    "rk4": "nsde_torch.sde.steps:RungeKutta4",
+    "exponential": "nsde_torch.sde.exponential:Exponential",
+    "exponential_maruyama": "nsde_torch.sde.exponential:ExponentialMaruyama",
+    "midpoint": "nsde_torch.sde.steps:Midpoint",
+    "torchdiffeq": "nsde_torch.sde.torchdiffeq_step:TorchDiffEq",
+}
+"""Name of a solver of the package -> `module:Class`; a line here registers one, and imports none."""
+
+TORCHDIFFEQ_METHODS = (
+    *("euler", "midpoint", "rk4", "heun3"),
+    *("dopri5", "dopri8", "bosh3", "adaptive_heun", "fehlberg2"),
+)
+
 
 @documented
 @dataclass(frozen=True)
@@ -35,10 +56,7 @@ class TorchDiffEqOptions(IntegratorOptions):
     method: str = key(
         "dopri5",
         "method of torchdiffeq; the first four take fixed steps",
-        choices=(
-            *("euler", "midpoint", "rk4", "heun3"),
-            *("dopri5", "dopri8", "bosh3", "adaptive_heun", "fehlberg2"),
-        ),
+        choices=TORCHDIFFEQ_METHODS,
     )
     rtol: float = key(1e-5, "relative tolerance of adaptive methods", above=0)
     atol: float = key(1e-6, "absolute tolerance of adaptive methods", unit="state", above=0)

@@ -4,7 +4,7 @@ from typing import Any
 
 from nsde_torch.errors import ConfigError
 from nsde_torch.lookup import class_by_name
-from nsde_torch.sde.names import STEP_HOMES
+from nsde_torch.sde.options import STEP_HOMES
 from nsde_torch.sde.step import Step
 
 STEPS: dict[str, type[Step]] = {

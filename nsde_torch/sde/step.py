@@ -14,19 +14,15 @@ from nsde_torch.sde.protocol import CALCULI, SDE, Time
 
 
 class Step(ABC):
-    """A one-step method. Subclasses are final, hold nothing but settings, and state calculus, order and its condition.
+    """A one-step method. Subclasses are final, hold nothing but settings, and state calculus and order.
 
     The calculus is the limit as dt goes to 0, "none" for a method of ordinary equations.
     """
 
     name: ClassVar[str]  # key in `STEPS`, or what messages call the user's own
     calculus: ClassVar[Literal["ito", "stratonovich", "none"]]
-    strong_order: ClassVar[float]  # on one Brownian path where `condition` holds (classical if deterministic)
-    condition: ClassVar[str]  # what `strong_order` rests on, in words; it is assumed and not checked
-    summary: ClassVar[str]  # one line for tables and help texts
-    deterministic: ClassVar[bool] = (
-        False  # whether it reads no noise, that is, solves the equation with g = 0
-    )
+    strong_order: ClassVar[float]  # on one Brownian path, classical if deterministic; not checked
+    deterministic: ClassVar[bool] = False  # whether it reads no noise, that is, solves for g = 0
     compilable: ClassVar[bool] = True  # False if it must run eagerly
 
     @abstractmethod

@@ -97,34 +97,23 @@ def paired_bootstrap(
         return (root[..., k:] - root[..., :k]).masked_fill(alike, 0.0)
 
     both = torch.cat((first, other), 1)
-    return function_bootstrap(
-        both, difference, blocks, generator=generator, replicates=replicates, level=level
+    return mean_bootstrap(
+        both, blocks, generator=generator, replicates=replicates, level=level, function=difference
     )
 
 
 def mean_bootstrap(
-    values: Tensor, blocks: Blocks, *, generator: torch.Generator, level: float = 0.95
-) -> Difference:
-    """Interval of the mean difference of two models at each row, such as of their log densities.
-
-    `values` are other minus first (S, K); the other arguments and the result are those of `function_bootstrap`.
-    """
-    return function_bootstrap(values, lambda means: means, blocks, generator=generator, level=level)
-
-
-def function_bootstrap(
     values: Tensor,
-    function: Callable[[Tensor], Tensor],
     blocks: Blocks,
     *,
     generator: torch.Generator,
     replicates: int = REPLICATES,
     level: float = 0.95,
+    function: Callable[[Tensor], Tensor] = lambda means: means,
 ) -> Difference:
-    """Interval of a function of means over rows (S, K), such as the ratio of two.
+    """Interval of means over rows (S, K), such as of the differences of two log densities, or of a function of them.
 
-    The function is from means (..., K) to quantities (..., L), NaN where there is none. Below five blocks, or where a
-    resample has no value, the ends are NaN.
+    The function is from means (..., K) to quantities (..., L). Below five blocks the ends are NaN.
     """
     values = values.double()
     value = function(values.mean(0))
@@ -135,16 +124,11 @@ def function_bootstrap(
     # of the percentile interval, widened for n blocks
     outside = float(ndtr(-np.sqrt(n / (n - 1)) * stdtrit(n - 1, 0.5 + level / 2)))
     at = torch.tensor([outside, 1 - outside], dtype=torch.float64)
-    return Difference(value, *function(_resampled(values, blocks, generator, replicates)).quantile(at, dim=0))
-
-
-def _resampled(values: Tensor, blocks: Blocks, generator: torch.Generator, replicates: int) -> Tensor:
-    """Means (replicates, K) of rows (S, K) over blocks that are drawn with replacement."""
-    n = blocks.count
     index = torch.from_numpy(blocks.of_start)
     sums = torch.zeros(n, values.shape[1], dtype=torch.float64).index_add_(0, index, values)
     sizes = torch.bincount(index, minlength=n).double()
     drawn = torch.randint(n, (replicates, n), generator=generator)
     times = torch.zeros(replicates, n, dtype=torch.float64)
     times.scatter_add_(1, drawn, torch.ones_like(times))
-    return times @ sums / (times @ sizes)[:, None]
+    means = times @ sums / (times @ sizes)[:, None]
+    return Difference(value, *function(means).quantile(at, dim=0))

@@ -227,7 +227,7 @@ def _model_entry(
         part = summary(scores.at(rows), keys)
         by_run[run.name] = {
             "starts": len(rows),
-            "errors": part["errors"].get("model", {}),
+            "errors": part["errors"],
             "coverage_90": part["coverage"]["0.9"] if stochastic else None,
         }
     coverage = figures["coverage"]
@@ -247,7 +247,7 @@ def _model_entry(
         "trained_on": {name: trained_on(match) for name, match in matches.items()},
         "trained_on_match": dict(matches),
         "evaluated_at_s": dict(zip(keys, grid.times, strict=True)),
-        "errors": figures["errors"].get("model", {}),
+        "errors": figures["errors"],
         "coverage": coverage if stochastic else None,
         "coverage_channels": figures["coverage_channels"] if stochastic else None,
         "crps": figures["crps"],
@@ -308,7 +308,7 @@ def _differences(
     blocks = make_blocks(index, t, length=length)
     every = torch.arange(len(index))
     others = [
-        (model["name"], made.kept, made.squares["model"], grid.times, model["held_out"])
+        (model["name"], made.kept, made.squares, grid.times, model["held_out"])
         for model, made, grid in zip(models[1:], scores[1:], grids[1:], strict=True)
     ]
     others += [(name, every, squares, grids[0].times, True) for name, squares in still.items()]
@@ -316,7 +316,7 @@ def _differences(
     for name, kept, squares, times, held_out in others:
         both = torch.from_numpy(np.intersect1d(scores[0].kept.numpy(), kept.numpy()))
         pair = (
-            scores[0].squares["model"][torch.searchsorted(scores[0].kept, both)],
+            scores[0].squares[torch.searchsorted(scores[0].kept, both)],
             squares[torch.searchsorted(kept, both)],
         )
         own = make_blocks(index[both.numpy()], t[both.numpy()], length=length) if len(both) else blocks

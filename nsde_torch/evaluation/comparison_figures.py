@@ -84,7 +84,7 @@ def _typical_start(comparison: Comparison) -> int:
     content = comparison.content
     number = next(k for k, m in enumerate(content["models"]) if m["errors"])
     scores = comparison.scores[number]
-    squares = scores.squares["model"][:, -1]
+    squares = scores.squares[:, -1]
     size = (squares / squares.mean(0).clamp_min(1e-30)).sum(1).numpy()
     kept = scores.kept.numpy()
     seen = np.array([bool(run["trained_on_by"]) for run in content["data"]["runs"]])

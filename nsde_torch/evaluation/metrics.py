@@ -15,7 +15,7 @@ from nsde_torch.data import Run, Windows
 from nsde_torch.data.interventions import interventional, longest_stretch
 from nsde_torch.errors import DataError
 from nsde_torch.evaluation.one_step import one_step
-from nsde_torch.evaluation.scores import LEVELS, PARTICLES, Scores, rms_by_group, score
+from nsde_torch.evaluation.scores import LEVELS, PARTICLES, Scores, baseline_squares, rms_by_group, score
 from nsde_torch.models.model import Model
 
 HORIZONS = (0.1, 0.25, 0.5, 1.0, 2.0)
@@ -36,7 +36,7 @@ def start_grid(windows: Windows) -> Tensor:
 
 
 def thinned(starts: Tensor, most: int = MOST_STARTS) -> Tensor:
-    """At most 2000 of the starts, or so many, evenly spread."""
+    """At most 2000 of the starts, or so many rows of any table, evenly spread."""
     if len(starts) <= most:
         return starts
     return starts[torch.linspace(0, len(starts) - 1, most).round().long()]
@@ -92,6 +92,12 @@ def evaluate(
         compile=compile,
         measurement_std=measurement_std,
     )
+    keys = [f"{h:g}" for h in horizons]
+    found = summary(scores, keys)
+    if found["errors"]:
+        still = baseline_squares(model.system, windows, starts[scores.kept], steps)
+        baselines = {name: rms_by_group(model.system, squares, keys) for name, squares in still.items()}
+        found["errors"] = {"model": found["errors"], **baselines}
     return {
         "horizons_s": list(horizons),
         "starts": len(starts),
@@ -100,19 +106,19 @@ def evaluate(
         "units": {g.name: g.unit for g in model.system.error_groups},
         "inputs": "interventional" if interventional(runs) else "replayed",
         "one_step": one_step(model, runs),
-        **summary(scores, [f"{h:g}" for h in horizons]),
+        **found,
     }
 
 
 def summary(scores: Scores, horizons: Sequence[str]) -> dict[str, Any]:
-    """Means over the starts, by the name of the horizon, as `evaluate` has them; empty without a finite start."""
+    """Means over the starts, by the name of the horizon; empty without a finite start."""
     names = ("errors", "coverage", "coverage_channels", "crps", "spread", "nll")
     result: dict[str, Any] = {name: {} for name in names}
     result["coverage"] = {f"{level:g}": {} for level in LEVELS}
     if len(scores.kept) == 0:
         return result
     system, dtype = scores.system, scores.crps.dtype
-    result["errors"] = {name: rms_by_group(system, s, horizons) for name, s in scores.squares.items()}
+    result["errors"] = rms_by_group(system, scores.squares, horizons)
     inside = scores.inside.to(dtype).mean(0)
     crps, spread = scores.crps.mean(0), scores.spread.square().mean(0).sqrt()
     nll = scores.nll.mean(0)

@@ -12,7 +12,7 @@ With e = sample - measured in the system's error channels, over P particles, at 
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -114,8 +114,7 @@ class Scores:
     system: System  # the system, for groups and channels
     starts: int  # number of starts tried
     kept: Tensor  # positions, among those tried, of the S starts (S,)
-    squares: Mapping[str, Tensor]
-    """Squared norms of the prediction's error, by "model" and baseline: (S, horizons, groups)."""
+    squares: Tensor  # squared norms of the prediction's error (S, horizons, groups)
     inside: Tensor  # whether the intervals hold the measurement (S, horizons, levels, channels)
     crps: Tensor  # fair CRPS (S, horizons, channels)
     spread: Tensor  # standard deviation of the particles (S, horizons, channels)
@@ -133,9 +132,8 @@ class Scores:
 
     def at(self, rows: Tensor) -> "Scores":
         """The scores of some of the S starts alone, by row."""
-        squares = {name: s[rows] for name, s in self.squares.items()}
-        parts = {name: getattr(self, name)[rows] for name in ("kept", "inside", "crps", "spread", "nll")}
-        return replace(self, starts=len(rows), squares=squares, **parts)
+        names = ("kept", "squares", "inside", "crps", "spread", "nll")
+        return replace(self, starts=len(rows), **{name: getattr(self, name)[rows] for name in names})
 
 
 @torch.no_grad()
@@ -179,22 +177,21 @@ def score(
                 parts[:0] = part.chunk(2)
             continue
         kept.append(part)
-        made = [_of_horizon(system, samples[:, :, k], x[:, 0], x[:, k], k * windows.dt_model) for k in steps]
+        made = [_of_horizon(system, samples[:, :, k], x[:, k]) for k in steps]
         rows.append(tuple(torch.stack(column, 1).cpu() for column in zip(*made, strict=True)))
     if not rows:
         h, c, g = len(steps), len(system.error_names), len(system.error_groups)
-        tails = ((g,), (g,), (g,), (len(LEVELS), c), (c,), (c,), (c,))
+        tails = ((g,), (len(LEVELS), c), (c,), (c,), (c,))
         rows = [tuple(torch.empty(0, h, *tail) for tail in tails)]
-    joined = [torch.cat(column) for column in zip(*rows, strict=True)]
-    squares = dict(zip(("model", *BASELINES), joined[:3], strict=True))
-    indices = torch.cat(kept) if kept else torch.empty(0, dtype=torch.long)
-    return Scores(system, len(starts), indices, squares, *joined[3:])
+        kept = [torch.empty(0, dtype=torch.long)]
+    joined = (torch.cat(column) for column in zip(*rows, strict=True))
+    return Scores(system, len(starts), torch.cat(kept), *joined)
 
 
 def baseline_squares(
     system: System, windows: Windows, starts: Tensor, steps: Sequence[int]
 ) -> dict[str, Tensor]:
-    """Squared norms of the errors of the baselines from all starts: name -> (B, horizons, groups)."""
+    """Squared norms of the errors of the baselines from starts (B,): name -> (B, horizons, groups)."""
     parts: dict[str, list[Tensor]] = {name: [] for name in BASELINES}
     for part in starts.split(_BATCH):
         x = windows.batch(part)[0]
@@ -205,19 +202,17 @@ def baseline_squares(
     return {name: torch.cat(rows) for name, rows in parts.items()}
 
 
-def _of_horizon(system: System, sample: Tensor, x0: Tensor, y: Tensor, elapsed: float) -> tuple[Tensor, ...]:
-    """Squares of the model and of the baselines, inside, CRPS, spread and NLL at one horizon."""
-    p = len(sample)
-    predictions = {"model": mean_state(system, sample), **baselines(system, x0, elapsed)}
-    squares = (group_squares(system, system.error(made, y)) for made in predictions.values())
+def _of_horizon(system: System, sample: Tensor, y: Tensor) -> tuple[Tensor, ...]:
+    """Squares, inside, CRPS, spread and NLL at one horizon."""
+    squares = group_squares(system, system.error(mean_state(system, sample), y))
     e = system.error(sample, y.expand_as(sample))
     ordered = e.sort(0).values
     ends = (interval_quantiles(ordered, level) for level in LEVELS)
     inside = [(low <= 0) & (high >= 0) for low, high in ends]
     # equal particles have no spread, whatever rounding makes of their errors
     alike = (e == e[:1]).all(0) | (sample == sample[:1]).flatten(2).all(2).all(0)[:, None]
-    spread = e.std(0, correction=min(1, p - 1)).masked_fill(alike, 0.0)
-    return (*squares, torch.stack(inside, 1), crps(e), spread, gaussian_nll(e).masked_fill(alike, math.nan))
+    spread = e.std(0, correction=min(1, len(e) - 1)).masked_fill(alike, 0.0)
+    return (squares, torch.stack(inside, 1), crps(e), spread, gaussian_nll(e).masked_fill(alike, math.nan))
 
 
 @torch.no_grad()

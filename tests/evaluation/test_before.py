@@ -29,7 +29,7 @@ def truth() -> IdentifiedModel:
 def test_the_true_model_is_scored_without_error_from_anywhere_in_a_run(windows: Windows) -> None:
     starts = torch.arange(25, len(windows), 4)
     scores = score(truth(), windows, starts, [5, STEPS], seed=0, particles=3)
-    assert float(scores.squares["model"].max()) < 1e-6
+    assert float(scores.squares.max()) < 1e-6
     squares = rollout_squares(truth(), windows, starts, [5, STEPS])
     assert float(squares.max()) < 1e-6
     x, u, _ = windows.batch(starts)

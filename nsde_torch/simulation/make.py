@@ -13,6 +13,7 @@ import torch
 from nsde_torch.arrays import Array
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import ConfigError
+from nsde_torch.models.networks import at_zero
 from nsde_torch.simulation.plant import Plant
 from nsde_torch.systems import System
 from nsde_torch.systems.machines import Effects, machine, make_plant_system
@@ -44,9 +45,8 @@ class Making:
         generator: torch.Generator,
         sensor_std: Sequence[float] | None = None,
         check: bool = True,
-        dtype: torch.dtype = torch.float64,
     ) -> Plant:
-        """The plant of a system; `generator`, `check` and `dtype` are those of `Plant`.
+        """The plant of a system; `generator` and `check` are those of `Plant`.
 
         `sensor_std` is the noise of each error channel in place of the machine's. A ConfigError where there is no plant
         of that name, an effect or parameter is unknown, or a number out of range.
@@ -75,19 +75,18 @@ class Making:
             latency=spec.latency if self.latency is None else self.latency,
             limits=spec.limits,
             check=check,
-            dtype=dtype,
         )
 
 
 def make_plant(name: str, *, generator: torch.Generator, check: bool = True, **settings: Any) -> Plant:
-    """The plant of a system: settings are those of `Making`, and `sensor_std` and `dtype` of `Making.plant`.
+    """The plant of a system: settings are those of `Making`, and `sensor_std` of `Making.plant`.
 
     Example:
         >>> g = torch.Generator().manual_seed(0)
         >>> plant = make_plant("hexacopter", generator=g, effects=["quadratic_drag"])
     """
-    own = {k: settings.pop(k) for k in ("sensor_std", "dtype") if k in settings}
-    return Making(**settings).plant(name, generator=generator, check=check, **own)
+    std = settings.pop("sensor_std", None)
+    return Making(**settings).plant(name, generator=generator, check=check, sensor_std=std)
 
 
 def noise_generator(seed: int, stream: int) -> torch.Generator:
@@ -102,10 +101,8 @@ def _longest_step(system: System) -> float:
     Rest is where smoothed friction is stiffest; lags and delays are as fast everywhere.
     """
     system = copy.deepcopy(system).double()
-    x = torch.zeros(1, system.nx, dtype=torch.float64)
-    if system.quaternion is not None:
-        x[:, system.quaternion.start] = 1.0
-    u = torch.zeros(1, system.nu + len(system.exogenous), dtype=torch.float64)
+    x = at_zero(system).double()
+    u = x.new_zeros(1, system.nu + len(system.exogenous))
 
     def rate(z: torch.Tensor) -> torch.Tensor:
         return system.drift(0.0, z, u)[0]

@@ -47,38 +47,35 @@ class Gusts:
     dt: float  # sample [s]
     scale: float  # factor on everything, >= 0
     generator: torch.Generator  # source of all randomness; it also sets the device
-    dtype: torch.dtype = torch.float64
 
     def __post_init__(self) -> None:
-        scale, widths = self.scale, self.widths
-        if not scale >= 0:
-            raise ConfigError(f"`process_noise` must be a factor of 0 or more; got {scale!r}.")
-        self._like = torch.empty(0, dtype=self.dtype, device=self.generator.device)
+        if not self.scale >= 0:
+            raise ConfigError(f"`process_noise` must be a factor of 0 or more; got {self.scale!r}.")
         self._parts: list[tuple[Port, int, float, Tensor, Tensor]] = []
         for port, gust in self.spec.items():
-            if port not in widths:
-                known = ", ".join(p.value for p in widths)
+            if port not in self.widths:
+                known = ", ".join(p.value for p in self.widths)
                 raise ConfigError(
                     f"gusts act on the port {port.value!r}, which the system lacks; it has: {known}."
                 )
             if not gust.time_constant > 0:
                 raise ConfigError(f"`time_constant` of a gust must be > 0 s; got {gust.time_constant!r}.")
-            width, keep = widths[port], exp(-self.dt / gust.time_constant)
-            std, white = (self._row(v, width, port) * scale for v in (gust.std, gust.white))
-            if scale > 0:
+            width, keep = self.widths[port], exp(-self.dt / gust.time_constant)
+            std, white = (self._row(v, width, port) * self.scale for v in (gust.std, gust.white))
+            if self.scale > 0:
                 self._parts.append((port, width, keep, std, white / sqrt(self.dt)))
         self._width = sum(width for _, width, *_ in self._parts)
         self._state: list[Tensor] = []
 
     def _row(self, values: tuple[float, ...], width: int, port: Port) -> Tensor:
-        row = self._like.new_tensor(values)
+        row = torch.tensor(values, dtype=torch.float64, device=self.generator.device)
         if row.numel() not in (1, width):
             raise ConfigError(f"a gust on {port.value!r} takes 1 or {width} numbers; got {row.numel()}.")
         return row.expand(width)
 
     def _normal(self, batch: int, columns: int) -> Tensor:
         device = self.generator.device
-        return torch.randn(batch, columns, generator=self.generator, dtype=self.dtype, device=device)
+        return torch.randn(batch, columns, generator=self.generator, dtype=torch.float64, device=device)
 
     def reset(self, batch: int) -> None:
         """Start from the stationary distribution, for `batch` rows."""
@@ -118,7 +115,6 @@ class Sensor:
     _: KW_ONLY
     scale: float  # factor on all of them, >= 0; with 0 the state is returned as it is
     generator: torch.Generator
-    dtype: torch.dtype = torch.float64
 
     def __post_init__(self) -> None:
         names, std, scale = self.system.error_names, self.std, self.scale
@@ -129,7 +125,7 @@ class Sensor:
         if not scale >= 0:
             raise ConfigError(f"`sensor_noise` must be a factor of 0 or more; got {scale!r}.")
         self._quaternion = self.system.quaternion
-        self._std = torch.tensor(std, dtype=self.dtype, device=self.generator.device) * scale
+        self._std = torch.tensor(std, dtype=torch.float64, device=self.generator.device) * scale
         self._silent = scale == 0 or not any(std)
 
     def __call__(self, x: Tensor) -> Tensor:
@@ -164,7 +160,6 @@ class Plant:
         latency: Time from a command to its effect [s], >= 0, rounded to fine steps.
         limits: Lowest and highest command, of all inputs or of each; commands beyond are clipped. None: no limits.
         check: Raise when a state is not finite; otherwise the caller looks after it.
-        dtype: Precision.
 
     A ConfigError refuses a time or factor out of range, or limits of another number of inputs.
 
@@ -189,7 +184,6 @@ class Plant:
         latency: float = 0.0,
         limits: Limits | None = None,
         check: bool = True,
-        dtype: torch.dtype = torch.float64,
     ) -> None:
         if not (dt > 0 and step > 0):
             raise ConfigError(f"`dt` and `step` must be positive times in seconds; got {dt!r} and {step!r}.")
@@ -198,7 +192,8 @@ class Plant:
             raise ConfigError(f"`dt` must be a multiple of the fine `step`; got {dt!r} and {step!r} s.")
         if not latency >= 0:
             raise ConfigError(f"`latency` must be a time of 0 s or more; got {latency!r}.")
-        self.system = frozen(system).to(device=generator.device, dtype=dtype)
+        self._like = torch.empty(0, dtype=torch.float64, device=generator.device)
+        self.system = frozen(system).to(self._like)
         self.dt, self._fine = float(dt), float(dt) / self._substeps
         self.system.set_step(0.0)  # whatever integrator the system came from
         for effect in self.system.effects:
@@ -206,18 +201,15 @@ class Plant:
                 effect.step = self._fine
         self._delay = round(latency / self._fine)
         ends = () if limits is None else ends_of(limits, system.input_names)
-        self._limits = [torch.tensor(end, dtype=dtype, device=generator.device) for end in ends]
-        self._check, self._dtype = check, dtype
-        self._generator = generator
-        self._gusts = Gusts(
-            gusts or {}, system.ports, dt=dt, scale=process_noise, generator=generator, dtype=dtype
-        )
+        self._limits = [self._like.new_tensor(end) for end in ends]
+        self._check = check
+        self._gusts = Gusts(gusts or {}, system.ports, dt=dt, scale=process_noise, generator=generator)
         std = (0.0,) * len(system.error_names) if sensor_std is None else sensor_std
-        self._sensor = Sensor(system, std, scale=sensor_noise, generator=generator, dtype=dtype)
+        self._sensor = Sensor(system, std, scale=sensor_noise, generator=generator)
         self._forces: Mapping[Port, Tensor] = {}  # held over a sample
         self._sde = WithoutNoise(self.system, lambda t, z, u: self.system.drift(t, z, u, self._forces))
         self._solver = make_step("rk4")
-        self._z = torch.empty(0, system.nz, dtype=dtype, device=generator.device)
+        self._z = self._like.new_empty(0, system.nz)
         self._commands: list[Tensor] = []
         self._samples = 0
         self._began: Time = 0.0
@@ -237,11 +229,6 @@ class Plant:
         """The true state (B, nx), which no controller sees."""
         return self._z[:, : self.system.nx]
 
-    @property
-    def latency(self) -> float:
-        """Time from a command to its effect [s], as rounded to fine steps."""
-        return self._delay * self._fine
-
     @torch.no_grad()
     def reset(self, x0: Tensor, u0: Tensor | None = None) -> Tensor:
         """Put the machines into true states (B, nx), at rest under commands (B, nu); the measured states (B, nx).
@@ -249,7 +236,8 @@ class Plant:
         Commands, None for zeros, were given until now: they fill the latency and the memory of the effects. A
         ShapeError refuses wrong columns, or unequal numbers of rows.
         """
-        x, u = self._at_rest(x0, u0)
+        x = self._rows("x0", x0, self.system.nx)
+        u = x.new_zeros(len(x), self._width) if u0 is None else self._rows("u0", u0, self._width)
         if len(x) != len(u):
             raise ShapeError(f"`x0` and `u0` must have equal numbers of rows; got {len(x)} and {len(u)}.")
         return self.resume(self.system.augment(x, self._clipped(u)), u[:, None])
@@ -276,14 +264,14 @@ class Plant:
         return self._sensor(self.state)
 
     @torch.no_grad()
-    def restart(self, rows: Tensor, x0: Tensor, u0: Tensor | None = None) -> Tensor:
+    def restart(self, rows: Tensor, x0: Tensor) -> Tensor:
         """Put some machines (K,) into states (K, nx), as `reset` does with all; the time runs on."""
-        x, u = self._at_rest(x0, u0)
-        if not len(x) == len(u) == len(rows):
+        x = self._rows("x0", x0, self.system.nx)
+        if len(x) != len(rows):
             raise ShapeError(
-                f"`rows`, `x0` and `u0` must have equal numbers of rows; got {len(rows)}, {len(x)} and {len(u)}."
+                f"`rows` and `x0` must have equal numbers of rows; got {len(rows)} and {len(x)}."
             )
-        u = self._clipped(u)
+        u = self._clipped(x.new_zeros(len(x), self._width))
         self._z = self._z.index_copy(0, rows, self.system.project(self.system.augment(x, u)))
         self._commands = [c.index_copy(0, rows, u) for c in self._commands]
         self._gusts.restart(rows)
@@ -320,16 +308,12 @@ class Plant:
             )
         return self._sensor(self.state)
 
-    def _at_rest(self, x0: Tensor, u0: Tensor | None) -> tuple[Tensor, Tensor]:
-        x = self._rows("x0", x0, self.system.nx)
-        return x, x.new_zeros(len(x), self._width) if u0 is None else self._rows("u0", u0, self._width)
-
     @property
     def _width(self) -> int:
         return self.system.nu + len(self.system.exogenous)
 
     def _rows(self, name: str, value: Tensor, width: int) -> Tensor:
-        value = torch.as_tensor(value, dtype=self._dtype, device=self._generator.device)
+        value = torch.as_tensor(value).to(self._like)
         if value.ndim != 2 or value.shape[1] != width:
             raise ShapeError(f"`{name}` must be (batch, {width}); got {tuple(value.shape)}.")
         return value

@@ -21,6 +21,7 @@ use, so it gets an environment of its own, without its pins:
 import math
 import time
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 import numpy as np
@@ -33,8 +34,9 @@ from nsde_torch.models import EnsembleSpec, GaussianEnsemble
 from nsde_torch.recording import read
 from nsde_torch.simulation import simulated
 from nsde_torch.systems import make_system
-from nsde_torch.training import TrainerOptions
+from nsde_torch.training import LossOptions, TrainerOptions
 from nsde_torch.training.fit_ensemble import STEPS_FACTOR, EnsembleLoop, Pairs, cut_pairs, standardised_pairs
+from nsde_torch.training.task import Task
 
 MEMBERS, HIDDEN, BATCH = 5, 64, 32
 EPISODES_HELD_OUT = 0.2
@@ -85,9 +87,25 @@ def make_case(data: DataSet, seed: int) -> Case:
 def ours(case: Case, seed: int) -> dict[str, float]:
     options = TrainerOptions()
     started = time.perf_counter()
-    how = {"steps": STEPS_FACTOR * options.steps, "options": options, "seed": seed}
-    loop = EnsembleLoop(case.model, case.train, case.validation, **how)
-    steps = loop.run(title="ours").step
+    how = {
+        "spec": case.model.spec,
+        "runs": [],
+        "seed": seed,
+        "name": "ours",
+        "loss": LossOptions(),
+        "options": options,
+    }
+    how |= {
+        "validation": 0.15,
+        "clock": 1.0,
+        "values": {},
+        "device": torch.device("cpu"),
+        "dtype": torch.float32,
+    }
+    with TemporaryDirectory() as folder:
+        task = Task(**how, checkpoint=Path(folder) / "ours", log=lambda *_: None)
+        many = STEPS_FACTOR * options.steps
+        steps = EnsembleLoop(case.model, case.train, case.validation, steps=many, task=task).run().step
     seconds = time.perf_counter() - started
     with torch.no_grad():
         mean, v = case.model.standard(case.test.inputs.expand(MEMBERS, -1, -1))

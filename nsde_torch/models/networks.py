@@ -10,7 +10,6 @@ from torch import Tensor, nn
 from nsde_torch.systems import System
 
 _WIDE = 32
-_BLIND = 1e30  # a scale beyond which a column says nothing
 
 
 def at_zero(system: System) -> Tensor:
@@ -87,10 +86,6 @@ class Standardise(nn.Module):
         self.scale: Tensor
         self.register_buffer("mean", torch.zeros(width))
         self.register_buffer("scale", torch.ones(width))
-
-    def blind(self, columns: slice) -> None:
-        """Let some columns be 0 whatever they are."""
-        self.scale[columns] = _BLIND
 
     def fit(self, rows: Tensor) -> None:
         """Set mean and standard deviation from rows (N, width); a constant channel keeps scale 1."""

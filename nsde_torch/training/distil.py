@@ -58,7 +58,12 @@ def functions_of(
     """What the likelihood finds beside the optimum, among all functions or these groups (`Distilled.chosen`)."""
     space = at.of.space
     ports = [k for k, (port, _) in enumerate(space.disturbances) if port in model.residual_ports]
-    return learned(at, seen_by_networks(at.of.vector.system), ports, among=_groups(among, space.disturbances))
+    groups = None
+    if among is not None:  # of the disturbances that there are
+        rows = {(port.value, j): k for k, (port, j) in enumerate(space.disturbances)}
+        places = [(rows.get((g["port"], g["row"])), g) for g in among]
+        groups = [BasisGroup(k, tuple(g["variables"]), g["kind"]) for k, g in places if k is not None]
+    return learned(at, seen_by_networks(at.of.vector.system), ports, among=groups)
 
 
 def fit_functions(model: NeuralSDE, found: Functions, at: Optimum, left: Residuals) -> Distilled:
@@ -91,17 +96,6 @@ def fit_functions(model: NeuralSDE, found: Functions, at: Optimum, left: Residua
         for port, j in [space.disturbances[g.port]]
     ]
     return Distilled(found, networks, np.sqrt(variance), score, steps, chosen)
-
-
-def _groups(
-    chosen: Sequence[Mapping[str, Any]] | None, disturbances: Sequence[tuple[Port, int]]
-) -> list[BasisGroup] | None:
-    """Groups from plain values, of the disturbances that there are."""
-    if chosen is None:
-        return None
-    at = {(port.value, j): k for k, (port, j) in enumerate(disturbances)}
-    places = [(at.get((g["port"], g["row"])), g) for g in chosen]
-    return [BasisGroup(k, tuple(g["variables"]), g["kind"]) for k, g in places if k is not None]
 
 
 def _distil(

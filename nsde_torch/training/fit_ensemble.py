@@ -22,7 +22,6 @@ from nsde_torch.data import Windows
 from nsde_torch.errors import NonFiniteError
 from nsde_torch.models.ensemble import EnsembleSpec, GaussianEnsemble
 from nsde_torch.training.loop import Loop
-from nsde_torch.training.options import TrainerOptions
 from nsde_torch.training.task import Fitted, Task
 
 _BOUNDS = 0.05  # weight of the distance of the bounds; 0.01 to 0.12 validate alike
@@ -60,9 +59,7 @@ class EnsembleLoop(Loop):
         validation: Pairs,
         *,
         steps: int,
-        options: TrainerOptions,
-        seed: int,
-        identity: str = "",
+        task: Task,
     ) -> None:
         named = [(n, p) for n, p in model.named_parameters() if p.requires_grad]
         # the bounds are no weights: decay would draw them to 0
@@ -72,10 +69,11 @@ class EnsembleLoop(Loop):
             {"params": decayed, "weight_decay": _DECAY, "factor": 1.0},
             {"params": others, "factor": 1.0},
         ]
+        options = task.options
         optimiser = torch.optim.Adam(groups, lr=options.lr, fused=True)
         patience = max(1, round(options.patience * steps / options.steps))
         own = replace(options, steps=steps, patience=patience, polish=0)
-        super().__init__(model, optimiser, own, seed=seed, identity=identity, said_every=max(1, steps // 4))
+        super().__init__(model, optimiser, task, own, said_every=max(1, steps // 4))
         self.train, self.validation = train, validation
         members, count = model.spec.members, len(train.inputs)
         self.weight = members  # each member is moved by its own loss, however many there are
@@ -150,16 +148,9 @@ def fit_ensemble(task: Task) -> Fitted:
     train, held = windows.held_out(task.validation, _BLOCK_S, torch.Generator().manual_seed(task.seed))
     pairs = standardised_pairs(model, train, clock_scale=task.clock)
     validation = cut_pairs(model, held, most=_VALIDATION_PAIRS)
-    loop = EnsembleLoop(
-        model,
-        pairs,
-        validation,
-        steps=spec.steps or STEPS_FACTOR * task.options.steps,
-        options=task.options,
-        seed=task.seed,
-        identity=task.identity,
-    )
-    loop.run(title=task.name, checkpoint=task.checkpoint, log=task.log, quiet=task.quiet)
+    steps = spec.steps or STEPS_FACTOR * task.options.steps
+    loop = EnsembleLoop(model, pairs, validation, steps=steps, task=task)
+    loop.run()
     unit = "nats per channel of the standardised change, mean of the members"
     facts = {
         "loss": "likelihood",

@@ -35,6 +35,7 @@ from nsde_torch.data import Run, Windows
 from nsde_torch.effects import Effect, Port
 from nsde_torch.effects.law import split_name
 from nsde_torch.errors import DataError, NonFiniteError, NsdeError
+from nsde_torch.evaluation.metrics import thinned
 from nsde_torch.evaluation.one_step import (
     Disturbance,
     Residuals,
@@ -120,7 +121,7 @@ def fit_innovations(task: Task) -> Fitted:
 
 def _from_checkpoint(model: NeuralSDE, task: Task) -> dict[str, Any] | None:
     """What a finished fit left, its weights put into the model; None if there is none."""
-    found = read_checkpoint(task.checkpoint, model.state_dict(), task.identity, parts=(), differ=Loop.differ)
+    found = read_checkpoint(task, model.state_dict(), parts=(), differ=Loop.differ)
     if found is None:
         return None
     tensors, about = found
@@ -174,8 +175,7 @@ class _Fit:
         if self.found is None:
             self._beside_networks()
         left = residuals(self.physics, self.theta, model.residual_ports)
-        features = model.system.features(left.states.float())
-        features = features[torch.linspace(0, len(features) - 1, min(_ROWS, len(features))).round().long()]
+        features = thinned(model.system.features(left.states.float()), _ROWS)
         steps = min(_DISTANCE_STEPS, options.steps)
         fit_distance(model, features, loss=self.task.loss, steps=steps, rate=options.lr, seed=self.task.seed)
         laws = _channel_laws(self.physics, left, model)

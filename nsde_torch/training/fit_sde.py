@@ -13,6 +13,7 @@ from torch import Tensor, nn
 
 from nsde_torch.data import Windows
 from nsde_torch.errors import NonFiniteError
+from nsde_torch.evaluation.metrics import thinned
 from nsde_torch.models.before import inputs_before
 from nsde_torch.models.model import normal
 from nsde_torch.models.neural_sde import NeuralSDE, SDESpec
@@ -21,7 +22,7 @@ from nsde_torch.systems.in_run import owner_of
 from nsde_torch.training.fit_innovations import fit_innovations
 from nsde_torch.training.loop import Loop
 from nsde_torch.training.losses import data_loss, distance_terms
-from nsde_torch.training.options import LossOptions, TrainerOptions
+from nsde_torch.training.options import LossOptions
 from nsde_torch.training.prepare import error_scale, prepare
 from nsde_torch.training.task import Fitted, Parameters, Task
 
@@ -55,7 +56,7 @@ def declared_confidence(model: NeuralSDE, windows: Windows, scale: Tensor) -> Pa
     out: Parameters = {}
     if not parameters:
         return out
-    pick = torch.linspace(0, len(windows) - 1, min(_WINDOWS, len(windows))).round().long()
+    pick = thinned(torch.arange(len(windows)), _WINDOWS)
     x, u, t0 = windows.batch(pick)
     steps = max(1, min(round(_HORIZON_S / windows.dt_model), windows.horizon))
     u, before = model.applied_pair(u, windows.dt_model, inputs_before(model.system, windows, pick))
@@ -152,21 +153,19 @@ class Fit(Loop):
         *,
         scale: Tensor,
         loss: LossOptions,
-        options: TrainerOptions,
-        seed: int,
-        identity: str = "",
+        task: Task,
     ) -> None:
         named = [(n, p) for n, p in model.named_parameters() if p.requires_grad]
         groups = [
             {"params": [p for n, p in named if n.startswith(_FAST) is fast], "factor": factor}
             for fast, factor in ((False, 1.0), (True, 1.0 if loss.kind == "paper" else _FAST_RATE))
         ]
+        options = task.options
         optimiser = torch.optim.Adam(groups, lr=options.lr, foreach=True)
-        said_every = _SAID_EVERY * options.validate_every
-        super().__init__(model, optimiser, options, seed=seed, identity=identity, said_every=said_every)
+        super().__init__(model, optimiser, task, options, said_every=_SAID_EVERY * options.validate_every)
         self.train, self.validation, self.everything = train, validation, everything
-        self.scale, self.loss, self.seed = scale, loss, seed
-        self.noise = torch.Generator().manual_seed(2 * seed + 2)
+        self.scale, self.loss = scale, loss
+        self.noise = torch.Generator().manual_seed(2 * task.seed + 2)
         self.compile = options.compile != "off"
 
     # ---- losses ---------------------------------------------------------------------------------------
@@ -241,9 +240,8 @@ class Fit(Loop):
     @torch.no_grad()
     def validate(self) -> float:
         """Data loss on held-out windows of the training runs, always with the same windows and noise."""
-        generator = torch.Generator().manual_seed(self.seed)
-        count = min(len(self.validation), _VALIDATION_WINDOWS)
-        indices = torch.linspace(0, len(self.validation) - 1, count).round().long()
+        generator = torch.Generator().manual_seed(self.task.seed)
+        indices = thinned(torch.arange(len(self.validation)), _VALIDATION_WINDOWS)
         particles = _VALIDATION_PARTICLES if self.loss.kind == "replay" else self.loss.particles
         errors, _ = self.errors(self.validation, indices, particles, generator)
         return float(data_loss(errors, self.scale, kind=self.loss.kind, early=self.loss.early, paired=False))
@@ -290,18 +288,8 @@ def fit_sde(task: Task) -> Fitted:
     train, held = windows.held_out(task.validation, _BLOCK_S, torch.Generator().manual_seed(task.seed))
     prepare(model, task.runs, train, clock_scale=task.clock, given=task.values)
     scale = error_scale(model, train)
-    fit = Fit(
-        model,
-        train,
-        held,
-        windows,
-        scale=scale,
-        loss=loss,
-        options=task.options,
-        seed=task.seed,
-        identity=task.identity,
-    )
-    fit.run(title=task.name, checkpoint=task.checkpoint, log=task.log, quiet=task.quiet)
+    fit = Fit(model, train, held, windows, scale=scale, loss=loss, task=task)
+    fit.run()
 
     def parameters() -> Parameters:
         if not spec.physics:

@@ -9,7 +9,7 @@ import copy
 import json
 import logging
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -21,7 +21,7 @@ from tqdm.auto import tqdm
 from nsde_torch.errors import CheckpointError, NonFiniteError
 from nsde_torch.progress import no_bar
 from nsde_torch.training.options import TrainerOptions
-from nsde_torch.training.task import Progress
+from nsde_torch.training.task import Progress, Task
 from nsde_torch.whole_files import read_tensors, write_tensors
 
 _AVERAGE = 0.98
@@ -43,16 +43,15 @@ class Loop(ABC):
         self,
         model: nn.Module,
         optimiser: torch.optim.Optimizer,
+        task: Task,
         options: TrainerOptions,
         *,
-        seed: int,
-        identity: str,
         said_every: int,
     ) -> None:
-        self.model, self.optimiser, self.options = model, optimiser, options
-        self.identity, self.said_every = identity, said_every
+        self.model, self.optimiser, self.task, self.options = model, optimiser, task, options
+        self.said_every = said_every
         self.patience = options.patience * options.validate_every
-        self.batches = torch.Generator().manual_seed(2 * seed + 1)
+        self.batches = torch.Generator().manual_seed(2 * task.seed + 1)
         self.named = [(n, p) for n, p in model.named_parameters() if p.requires_grad]
         self.parameters = [p for _, p in self.named]
         self.polishing = False
@@ -82,28 +81,19 @@ class Loop(ABC):
 
     # ---- loop -----------------------------------------------------------------------------------------
 
-    def run(
-        self,
-        *,
-        title: str,
-        checkpoint: Path | None = None,
-        log: Callable[[int, dict[str, float]], None] | None = None,
-        quiet: bool = False,
-    ) -> Progress:
+    def run(self) -> Progress:
         """Optimise until the steps are done or the validation score stops falling; keeps the best weights.
 
-        It writes to the file `checkpoint` (without suffix) and resumes from it if it is there, and calls `log` with
-        step and losses at each validation. NonFiniteError where the loss is not finite.
+        It resumes from the checkpoint of the task if there is one. NonFiniteError where the loss is not finite.
         """
-        if checkpoint is not None:
-            self.restore(checkpoint)
-        progress, options = self.progress, self.options
+        self.restore()
+        task, progress, options = self.task, self.progress, self.options
         bar = tqdm(
             total=options.steps + options.polish,
             initial=progress.step + progress.polished,
-            desc=title,
+            desc=task.name,
             unit="step",
-            disable=no_bar(quiet),
+            disable=no_bar(task.quiet),
             leave=False,
             mininterval=0.5,
         )
@@ -116,20 +106,18 @@ class Loop(ABC):
                 if not self.polishing and (step % options.validate_every == 0 or step == options.steps):
                     row = self._score(losses)
                     bar.set_postfix(loss=f"{row['loss']:.4f}", validation=f"{row['validation']:.4f}")
-                    if log is not None:
-                        log(step, row)
-                if bar.disable and not quiet and not self.polishing and step % self.said_every == 0:
+                    task.log(step, row)
+                if bar.disable and not task.quiet and not self.polishing and step % self.said_every == 0:
                     score = progress.history[-1]["validation"]
-                    _LOG.info("%s: step %d of %d, validation %.4f", title, step, options.steps, score)
+                    _LOG.info("%s: step %d of %d, validation %.4f", task.name, step, options.steps, score)
                 done = progress.polished if self.polishing else step
-                if checkpoint is not None and done % options.checkpoint_every == 0:
-                    self.save(checkpoint)
+                if done % options.checkpoint_every == 0:
+                    self.save()
         if progress.polished:
             self._put(self.average)
             self.kept = copy.deepcopy(self.model.state_dict())
         self.model.load_state_dict(self.kept)
-        if checkpoint is not None:
-            self.save(checkpoint)
+        self.save()
         return progress
 
     def _steps(self) -> Iterator[dict[str, Tensor]]:
@@ -192,7 +180,7 @@ class Loop(ABC):
 
     # ---- checkpoints ----------------------------------------------------------------------------------
 
-    def save(self, path: Path) -> None:
+    def save(self) -> None:
         """Write everything that the rest of the optimisation depends on."""
         tensors = {f"model.{k}": v for k, v in self.model.state_dict().items()}
         tensors |= {f"kept.{k}": v for k, v in self.kept.items()}
@@ -201,12 +189,13 @@ class Loop(ABC):
             tensors[f"average.{i}"] = average
             for key, value in self.optimiser.state.get(parameter, {}).items():
                 tensors[f"adam.{i}.{key}"] = value
-        write_checkpoint(path, tensors, {"identity": self.identity, **vars(self.progress)})
+        about = {"identity": self.task.identity, **vars(self.progress)}
+        write_checkpoint(self.task.checkpoint, tensors, about)
 
-    def restore(self, path: Path) -> None:
+    def restore(self) -> None:
         """Continue from a checkpoint if there is one; CheckpointError where it is damaged or of another training."""
         parts = ("batches", *self._further(), *(f"average.{i}" for i in range(len(self.parameters))))
-        found = read_checkpoint(path, self.model.state_dict(), self.identity, parts=parts, differ=self.differ)
+        found = read_checkpoint(self.task, self.model.state_dict(), parts=parts, differ=self.differ)
         if found is None:
             return
         tensors, about = found
@@ -236,14 +225,14 @@ def write_checkpoint(path: Path, tensors: Mapping[str, Tensor], about: Mapping[s
 
 
 def read_checkpoint(
-    path: Path, expected: Mapping[str, Tensor], identity: str, *, parts: Collection[str], differ: str
+    task: Task, expected: Mapping[str, Tensor], *, parts: Collection[str], differ: str
 ) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
-    """Read `path`.safetensors; None if there is none, CheckpointError where it is damaged or of another training.
+    """Read the checkpoint of a task; None if there is none, CheckpointError where it is damaged or of another training.
 
     It should be of a training of that identity, else `differ` says what may differ, and hold tensors as the expected
     ones of the model and further parts.
     """
-    file = path.with_suffix(".safetensors")
+    file = task.checkpoint.with_suffix(".safetensors")
     if not file.exists():
         return None
     try:
@@ -263,7 +252,7 @@ def read_checkpoint(
             f"checkpoint {file} is of another model (they differ in {', '.join(differing[:5])}). Resume with the "
             "configuration of the run, or start a new one."
         )
-    if about.pop("identity", "") != identity:
+    if about.pop("identity", "") != task.identity:
         raise CheckpointError(
             f"checkpoint {file} is of another training: {differ} differ. Resume with the configuration of the run, or "
             "start a new one in another run_dir."

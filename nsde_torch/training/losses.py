@@ -101,27 +101,20 @@ def draw_ball(
     return directions.to(like.device), share.to(like.device)
 
 
-def mu_weight(options: LossOptions, model: NeuralSDE) -> float:
-    """Weight of the reward on mu: the user's, the supplement's for "paper", that of the other two else."""
-    if options.mu is not None:
-        return options.mu
-    return model.system.defaults.lambda_mu if options.kind == "paper" else 0.01
-
-
 def distance_terms(
     model: NeuralSDE, features: Tensor, loss: LossOptions, generator: torch.Generator
 ) -> dict[str, Tensor]:
     """The distance losses at features of data (M, nf), each with its weight."""
-    near = loss.ball_radius or model.system.defaults.ball_radius
+    own = model.system.defaults
+    near = loss.ball_radius or own.ball_radius
+    mu = loss.mu
+    if mu is None:  # the supplement's for "paper", that of the other two else
+        mu = own.lambda_mu if loss.kind == "paper" else 0.01
     ball = draw_ball(len(features), loss.ball_samples, features.shape[1], generator, features)
     gradient, convexity, reward = distance_losses(
         model.eta, features, *ball, kind=loss.kind, near=near, far=loss.far_radius
     )
-    return {
-        "gradient": loss.gradient * gradient,
-        "convexity": loss.convexity * convexity,
-        "mu": mu_weight(loss, model) * reward,
-    }
+    return {"gradient": loss.gradient * gradient, "convexity": loss.convexity * convexity, "mu": mu * reward}
 
 
 def fit_distance(

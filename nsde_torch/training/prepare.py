@@ -8,10 +8,12 @@ from torch import Tensor
 
 from nsde_torch.data import Run, Windows
 from nsde_torch.errors import ConfigError
+from nsde_torch.evaluation.metrics import thinned
 from nsde_torch.models.networks import InputFilter
 from nsde_torch.models.neural_sde import NeuralSDE
 
 _ROWS = 20_000
+_BLIND = 1e30  # a scale beyond which a column says nothing
 _HOLD_SHARE = 0.35  # a useful model's error, as a share of that of holding the state
 
 
@@ -19,7 +21,7 @@ def blind_to_places(model: NeuralSDE) -> None:
     """Let residual networks see no place: a fit without evidence for it would learn where the data were."""
     count = len(model.system.places)
     if count:
-        model.residual_inputs.blind(slice(-count, None))
+        model.residual_inputs.scale[-count:] = _BLIND
 
 
 def prepare(
@@ -29,7 +31,7 @@ def prepare(
 
     Windows are those of its training runs; parameters that are `given` keep the value they have.
     """
-    x, u, _ = windows.batch(_spread(len(windows), _ROWS // (windows.horizon + 1) + 1))
+    x, u, _ = windows.batch(thinned(torch.arange(len(windows)), _ROWS // (windows.horizon + 1) + 1))
     rows = x.reshape(-1, x.shape[-1])
     with torch.no_grad():
         model.residual_inputs.fit(model.system.network_features(rows))
@@ -63,10 +65,6 @@ def prepare(
                 continue  # out of bounds: the data mislead, the default stays
 
 
-def _spread(n: int, count: int) -> Tensor:
-    return torch.linspace(0, n - 1, min(n, count)).round().long()
-
-
 def sensor_std(runs: Sequence[Run]) -> Tensor:
     """Standard deviation of white sensor noise (nx,), from fourth differences, which a smooth motion lacks."""
     squares, count = 0.0, 0
@@ -82,7 +80,7 @@ def sensor_std(runs: Sequence[Run]) -> Tensor:
 
 def error_scale(model: NeuralSDE, windows: Windows) -> Tensor:
     """Scale of the error channels (n_error,): a share of the error of holding the state, one per group."""
-    x, _, _ = windows.batch(_spread(len(windows), 2000))
+    x, _, _ = windows.batch(thinned(torch.arange(len(windows)), 2000))
     held = model.system.error(x[:, :1].expand_as(x[:, 1:]), x[:, 1:])
     rms = held.reshape(-1, held.shape[-1]).square().mean(0).sqrt()
     scale = torch.ones_like(rms)

@@ -17,7 +17,7 @@ from nsde_torch.data import DataSet, Run, Split, Windows
 from nsde_torch.errors import DataError, NonFiniteError
 from nsde_torch.evaluation import report, seen
 from nsde_torch.evaluation.figures import Coverage, extrapolate, falls_short, widen
-from nsde_torch.evaluation.metrics import START_EVERY, evaluate, horizons_of, start_grid
+from nsde_torch.evaluation.metrics import START_EVERY, evaluate, horizons_of, start_grid, thinned
 from nsde_torch.evaluation.one_step import one_step_table
 from nsde_torch.evaluation.scores import score
 from nsde_torch.models.feedback_model import fit_feedback
@@ -384,8 +384,7 @@ def learn_feedback(model: NeuralSDE, runs: Sequence[Run], *, seed: int) -> dict[
     if windows.interventional or len(starts) < 2:
         return {"kept": False}
     independent = len(starts) * START_EVERY / _LONGEST_S
-    if len(starts) > _STARTS:
-        starts = starts[torch.linspace(0, len(starts) - 1, _STARTS).round().long()]
+    starts = thinned(starts, _STARTS)
     given: dict[str, Any] = {"seed": seed, "particles": _PARTICLES}
     without = score(model, windows, starts, steps, **given)
     model.feedback = made

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import pytest
 import torch
 
 from nsde_torch.data import Run
@@ -46,21 +45,17 @@ def averages_of(loop: Loop) -> dict[int, list[torch.Tensor]]:
 def task_of(
     spec: Any, runs: Sequence[Run], checkpoint: Path, options: TrainerOptions, **changed: Any
 ) -> Task:
-    """A task for a fit on the processor, in single precision."""
+    """A quiet task for a fit on the processor, in single precision."""
     given: dict[str, Any] = {"seed": 0, "name": "train", "validation": 0.3, "clock": 1.0, **changed}
     where: dict[str, Any] = {"device": torch.device("cpu"), "dtype": torch.float32, "checkpoint": checkpoint}
-    quiet: dict[str, Any] = {"values": {}, "loss": LossOptions(), "log": lambda *_: None}
-    return Task(spec=spec, runs=list(runs), options=options, **given, **where, **quiet)
+    rest: dict[str, Any] = {"values": {}, "loss": LossOptions(), "log": lambda *_: None, "quiet": True}
+    return Task(spec=spec, runs=list(runs), options=options, **{**rest, **where, **given})
 
 
 class LoopContract:
-    """Inherit it, and write `make` and the fixture `killed`: numbers of the steps that a run is killed in."""
+    """Inherit it, and write `make`: a loop that keeps its checkpoint in a folder."""
 
-    @pytest.fixture
-    def killed(self) -> int:
-        raise NotImplementedError
-
-    def make(self, seed: int = 0) -> Loop:
+    def make(self, folder: Path, seed: int = 0) -> Loop:
         raise NotImplementedError
 
     def same(self, a: Loop, b: Loop) -> None:
@@ -68,53 +63,35 @@ class LoopContract:
         for (name, p), q in zip(a.model.state_dict().items(), b.model.state_dict().values(), strict=True):
             assert torch.equal(p, q), name
 
-    def test_killed_at_any_step_and_resumed_it_ends_in_the_same_bits(
-        self, killed: int, tmp_path: Path
-    ) -> None:
-        whole = self.make()
-        whole.run(title="t", quiet=True)
-        first = self.make()
-        kill_at(first, killed)
-        with pytest.raises(Killed):
-            first.run(title="t", checkpoint=tmp_path / "c", quiet=True)
-        second = self.make()
-        second.run(title="t", checkpoint=tmp_path / "c", quiet=True)
-        self.same(whole, second)
-
     def test_killed_again_and_again_it_ends_in_the_same_bits(self, tmp_path: Path) -> None:
-        whole = self.make()
-        whole.run(title="t", quiet=True)
+        whole = self.make(tmp_path / "whole")
+        whole.run()
         for _ in range(20):
-            loop = self.make()
+            loop = self.make(tmp_path / "killed")
             kill_at(loop, 3)
             try:
-                loop.run(title="t", checkpoint=tmp_path / "c", quiet=True)
+                loop.run()
             except Killed:
                 continue
             break
         self.same(whole, loop)
 
     def test_finished_and_run_again_it_changes_nothing_and_takes_no_step(self, tmp_path: Path) -> None:
-        first = self.make()
-        first.run(title="t", checkpoint=tmp_path / "c", quiet=True)
-        again = self.make()
+        first = self.make(tmp_path)
+        first.run()
+        again = self.make(tmp_path)
         kill_at(again, 1)
-        again.run(title="t", checkpoint=tmp_path / "c", quiet=True)
+        again.run()
         self.same(first, again)
 
-    def test_the_same_seed_gives_the_same_bits_and_another_seed_others(self) -> None:
-        a, b, c = (self.make(seed=s) for s in (1, 1, 2))
-        for loop in (a, b, c):
-            loop.run(title="t", quiet=True)
+    def test_the_same_seed_gives_the_same_bits_whatever_the_global_generator_and_another_seed_others(
+        self, tmp_path: Path
+    ) -> None:
+        a, b, c = (self.make(tmp_path / name, seed=s) for name, s in (("a", 1), ("b", 1), ("c", 2)))
+        for number, loop in enumerate((a, b, c)):
+            torch.manual_seed(number)
+            state = torch.random.get_rng_state()
+            loop.run()
+            assert torch.equal(state, torch.random.get_rng_state())
         self.same(a, b)
         assert a.progress.history != c.progress.history
-
-    def test_the_global_generator_plays_no_part(self) -> None:
-        a, b = self.make(), self.make()
-        torch.manual_seed(1)
-        a.run(title="t", quiet=True)
-        torch.manual_seed(2)
-        state = torch.random.get_rng_state()
-        b.run(title="t", quiet=True)
-        self.same(a, b)
-        assert torch.equal(state, torch.random.get_rng_state())

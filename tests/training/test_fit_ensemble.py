@@ -48,14 +48,14 @@ def noisy_runs(count: int = 4, rows: int = 400, seed: int = 0) -> list[Run]:
     return runs
 
 
-def make_loop(*, seed: int = 0, options: TrainerOptions = OPTIONS, steps: int = 12) -> EnsembleLoop:
+def make_loop(folder: Path, *, seed: int = 0, steps: int = 12, **options: Any) -> EnsembleLoop:
     spec = EnsembleSpec(DECAY, dt=DT, horizon=5, members=3, hidden=(8, 8), batch=8)
     model = GaussianEnsemble(spec, generator=torch.Generator().manual_seed(seed))
     windows = Windows(noisy_runs(2, 200), DT, 5)
     train, held = windows.held_out(0.2, 2.0, torch.Generator().manual_seed(seed))
     pairs = standardised_pairs(model, train, clock_scale=1.0)
-    validation = cut_pairs(model, held, most=50)
-    return EnsembleLoop(model, pairs, validation, steps=steps, options=options, seed=seed)
+    task = task_of(spec, [], folder / "c", replace(OPTIONS, **options), seed=seed)
+    return EnsembleLoop(model, pairs, cut_pairs(model, held, most=50), steps=steps, task=task)
 
 
 def make_task(tmp_path: Path, **spec: Any) -> Task:
@@ -67,8 +67,8 @@ def make_task(tmp_path: Path, **spec: Any) -> Task:
 # ---- likelihood and pairs -------------------------------------------------------------------------------
 
 
-def test_the_likelihood_is_that_of_torchs_normal() -> None:
-    loop = make_loop()
+def test_the_likelihood_is_that_of_torchs_normal(tmp_path: Path) -> None:
+    loop = make_loop(tmp_path)
     y, c = loop.train.inputs[:20].expand(3, -1, -1), loop.train.changes[:20].expand(3, -1, -1)
     mean, v = loop.model.standard(y)
     expected = -Normal(mean, torch.exp(0.5 * v)).log_prob(c).mean((1, 2))
@@ -116,15 +116,15 @@ def test_mean_and_variance_of_a_known_heteroscedastic_system_are_recovered(tmp_p
 # ---- members do not see each other ------------------------------------------------------------------------
 
 
-def test_a_member_ends_in_the_same_weights_whatever_the_others_do() -> None:
-    a, b = make_loop(options=replace(OPTIONS, clip=0.5)), make_loop(options=replace(OPTIONS, clip=0.5))
+def test_a_member_ends_in_the_same_weights_whatever_the_others_do(tmp_path: Path) -> None:
+    a, b = (make_loop(tmp_path / name, clip=0.5) for name in "ab")
     with torch.no_grad():
         for name, p in b.model.named_parameters():
             if name.startswith("networks."):
                 p[1].mul_(5.0)
         b.average = [p.detach().clone() for p in b.parameters]
     for loop in (a, b):
-        loop.run(title="t", quiet=True)
+        loop.run()
     for (name, p), q in zip(a.model.named_parameters(), b.model.parameters(), strict=True):
         if p.requires_grad:
             torch.testing.assert_close(p[0], q[0], rtol=1e-4, atol=1e-6, msg=name)
@@ -132,15 +132,15 @@ def test_a_member_ends_in_the_same_weights_whatever_the_others_do() -> None:
     assert not torch.equal(a.model.networks.weights[0][1], b.model.networks.weights[0][1])
 
 
-def test_every_member_keeps_its_own_best_weights_and_all_stop_together() -> None:
-    loop = make_loop(options=replace(OPTIONS, patience=2), steps=100)
+def test_every_member_keeps_its_own_best_weights_and_all_stop_together(tmp_path: Path) -> None:
+    loop = make_loop(tmp_path, patience=2, steps=100)
     # stretched: patience 2 of 12 steps are 17 of 100
     assert loop.patience == 17 * 3
     loop.patience = 9
     best = torch.tensor([3.0, 6.0, 9.0])
     loop.validate = lambda: (loop.progress.step - best).abs()  # type: ignore[method-assign]
     averages = averages_of(loop)
-    progress = loop.run(title="t", quiet=True)
+    progress = loop.run()
     assert progress.stopped
     assert (progress.step, progress.best_step, progress.best_score) == (18, 9, 0.0)
     assert loop.best_step.tolist() == [3, 6, 9]
@@ -153,12 +153,8 @@ def test_every_member_keeps_its_own_best_weights_and_all_stop_together() -> None
 
 
 class TestEnsembleLoop(LoopContract):
-    @pytest.fixture(params=[1, 6, 12])
-    def killed(self, request: pytest.FixtureRequest) -> int:
-        return int(request.param)
-
-    def make(self, seed: int = 0) -> EnsembleLoop:
-        return make_loop(seed=seed)
+    def make(self, folder: Path, seed: int = 0) -> EnsembleLoop:
+        return make_loop(folder, seed=seed)
 
     def same(self, a: Loop, b: Loop) -> None:
         super().same(a, b)
@@ -175,8 +171,8 @@ def test_a_checkpoint_of_another_training_is_refused(tmp_path: Path) -> None:
 
 
 # ---- faults -----------------------------------------------------------------------------------------------
-def test_a_validation_score_that_is_not_finite_stops_with_the_remedy() -> None:
-    loop = make_loop()
+def test_a_validation_score_that_is_not_finite_stops_with_the_remedy(tmp_path: Path) -> None:
+    loop = make_loop(tmp_path)
     loop.validation = Pairs(loop.validation.inputs, loop.validation.changes * float("nan"))
     with pytest.raises(NonFiniteError, match=r"validation score is not finite at step 0.*trainer\.lr"):
-        loop.run(title="t", quiet=True)
+        loop.run()

@@ -60,7 +60,7 @@ def train(
     """Train a model on runs and score it on runs held out, as `nsde train` does.
 
     What the user does not choose of the model's structure (input filter, sensor noise, disturbance, integrator) is as
-    the system and the data ask for (`nsde_torch.models.kinds`). Ctrl-C (in a notebook: interrupt) once the model is
+    the system and the data ask for (`nsde_torch.models.kind`). Ctrl-C (in a notebook: interrupt) once the model is
     fitted returns it, with what `metrics` holds by then; before, it is a KeyboardInterrupt as ever.
 
     Args:

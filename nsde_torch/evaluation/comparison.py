@@ -312,44 +312,36 @@ def _differences(
         for model, made, grid in zip(models[1:], scores[1:], grids[1:], strict=True)
     ]
     others += [(name, every, squares, grids[0].times, True) for name, squares in still.items()]
-    against = {}
+    first, against = scores[0], {}
     for name, kept, squares, times, held_out in others:
-        both = torch.from_numpy(np.intersect1d(scores[0].kept.numpy(), kept.numpy()))
-        pair = (
-            scores[0].squares[torch.searchsorted(scores[0].kept, both)],
-            squares[torch.searchsorted(kept, both)],
-        )
-        own = make_blocks(index[both.numpy()], t[both.numpy()], length=length) if len(both) else blocks
-        meet = [abs(a - b) <= 0.01 * a for a, b in zip(grids[0].times, times, strict=True)]
+        both = torch.from_numpy(np.intersect1d(first.kept.numpy(), kept.numpy()))
+        errors: dict[str, dict[str, Any]] = {}
+        if len(both):
+            pair = [
+                e[torch.searchsorted(rows, both)].flatten(1).double()
+                for rows, e in ((first.kept, first.squares), (kept, squares))
+            ]
+            own = make_blocks(index[both.numpy()], t[both.numpy()], length=length)
+            generator = torch.Generator().manual_seed(seed)
+            made = paired_bootstrap(*pair, own, generator=generator, replicates=replicates, level=_LEVEL)
+            meet = [abs(a - b) <= 0.01 * a for a, b in zip(grids[0].times, times, strict=True)]
+            table = torch.stack([*(e.mean(0).sqrt() for e in pair), made.value, made.low, made.high], -1)
+            for g, own_table in zip(
+                first.system.error_groups, table.view(len(keys), -1, 5).unbind(1), strict=True
+            ):
+                rows = [[value * g.factor for value in row] for row in own_table.tolist()]
+                found = zip(keys, rows, meet, strict=True)
+                errors[g.name] = {h: _difference(*row) if there else None for h, row, there in found}
         against[name] = {
             "held_out": bool(models[0]["held_out"] and held_out),
             "starts": len(both),
-            "errors": _pair(scores[0].system, pair, own, meet, keys, seed, replicates) if len(both) else {},
+            "errors": errors,
         }
     how = {"level": _LEVEL, "replicates": replicates, "unit": blocks.unit, "blocks": blocks.count}
     return {"first": models[0]["name"], **how, "against": against}
 
 
-def _pair(
-    system: System,
-    pair: tuple[Tensor, Tensor],
-    blocks: Blocks,
-    meet: Sequence[bool],
-    keys: Sequence[str],
-    seed: int,
-    replicates: int,
-) -> dict[str, dict[str, Any]]:
-    first, other = (squares.flatten(1).double() for squares in pair)
-    generator = torch.Generator().manual_seed(seed)
-    made = paired_bootstrap(first, other, blocks, generator=generator, replicates=replicates, level=_LEVEL)
-    shape, rms = (len(keys), len(system.error_groups)), (first.mean(0).sqrt(), other.mean(0).sqrt())
-    columns = [c.reshape(shape) for c in (*rms, made.value, made.low, made.high)]
-    result: dict[str, dict[str, Any]] = {}
-    for i, g in enumerate(system.error_groups):
-        for k, h in enumerate(keys):
-            a, b, value, low, high = (float(c[k, i]) * g.factor for c in columns)
-            ends: dict[str, Any] = {"low": low, "high": high} if low == low else {"low": None, "high": None}
-            entry = {"first": a, "other": b, "difference": value, **ends}
-            entry["verdict"] = bootstrap.verdict(low, high)
-            result.setdefault(g.name, {})[h] = entry if meet[k] else None
-    return result
+def _difference(first: float, other: float, value: float, low: float, high: float) -> dict[str, Any]:
+    ends = (low, high) if low == low else (None, None)
+    found = {"first": first, "other": other, "difference": value, "low": ends[0], "high": ends[1]}
+    return {**found, "verdict": bootstrap.verdict(low, high)}

@@ -12,7 +12,7 @@ from nsde_torch.errors import NonFiniteError
 from nsde_torch.evaluation.common_grid import Candidate, Grid
 from nsde_torch.evaluation.comparison import Comparison
 from nsde_torch.evaluation.comparison_text import label
-from nsde_torch.models.before import sampled
+from nsde_torch.models.model import sampled
 
 _PARTICLES = 199
 _COLUMNS = 4  # models side by side

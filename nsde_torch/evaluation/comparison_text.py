@@ -5,12 +5,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from nsde_torch.evaluation.one_step import one_step_table
-from nsde_torch.evaluation.report import REPLAYED, SHOWN_LEVELS, number, table
+from nsde_torch.evaluation.report import BASELINE_NAMES, REPLAYED, SHOWN_LEVELS, number, table
 
 Line = tuple[str, bool]
 SEEN = "TRAINED ON"
 _WIDTH = 110
-_BASELINES = {"constant_velocity": "constant velocity", "hold": "hold"}
 
 
 def lines(content: Mapping[str, Any]) -> Iterator[Line]:
@@ -64,14 +63,13 @@ def _one_step(content: Mapping[str, Any]) -> Iterator[Line]:
 
 def _errors(content: Mapping[str, Any]) -> Iterator[Line]:
     horizons = [f"{h:g}" for h in content["horizons_s"]]
-    rows = []
-    for group, unit in content["units"]["errors"].items():
-        for m in content["models"]:
-            cells = [_cell(m["errors"], group, h) for h in horizons]
-            rows.append(([f"{group} [{unit}]", label(m), *cells], not m["held_out"]))
-        for key, name in _BASELINES.items():
-            cells = [_cell(content["baselines"][key], group, h) for h in horizons]
-            rows.append(([f"{group} [{unit}]", name, *cells], False))
+    named = [(label(m), m["errors"], not m["held_out"]) for m in content["models"]]
+    named += [(name, content["baselines"][key], False) for key, name in BASELINE_NAMES.items()]
+    rows = [
+        ([f"{group} [{unit}]", name, *(_cell(errors, group, h) for h in horizons)], red)
+        for group, unit in content["units"]["errors"].items()
+        for name, errors, red in named
+    ]
     what = "rms error" if content["start_every_s"] is None else REPLAYED
     yield from _lines([what, "", *(f"{h} s" for h in horizons)], rows)
 
@@ -105,7 +103,7 @@ def _differences(content: Mapping[str, Any]) -> Iterator[Line]:
     first = differences["first"]
     rows = []
     for name, other in differences["against"].items():
-        if name in _BASELINES:
+        if name in BASELINE_NAMES:
             continue
         for group, by_horizon in other["errors"].items():
             unit = content["units"]["differences"][group]
@@ -130,7 +128,7 @@ def _verdicts(content: Mapping[str, Any]) -> Iterator[Line]:
     """The first model against the baselines, in words."""
     differences = content["differences"]
     turned = {"better": "worse", "worse": "better"}
-    for key, name in _BASELINES.items():
+    for key, name in BASELINE_NAMES.items():
         words: dict[str, list[str]] = {}
         for group, by_horizon in differences["against"][key]["errors"].items():
             by_word: dict[str, list[str]] = {}

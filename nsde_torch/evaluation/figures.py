@@ -16,8 +16,7 @@ from nsde_torch.data import DataSet, Run
 from nsde_torch.errors import DataError, NonFiniteError
 from nsde_torch.evaluation.metrics import horizons_of, start_grid, thinned, windows_of
 from nsde_torch.evaluation.scores import interval_quantiles
-from nsde_torch.models.before import sampled
-from nsde_torch.models.model import Model, is_stochastic
+from nsde_torch.models.model import Model, is_stochastic, sampled
 from nsde_torch.models.neural_sde import NeuralSDE
 
 # Calibration of the diffusion by errors on runs that a model did not see.

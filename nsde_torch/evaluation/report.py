@@ -8,6 +8,7 @@ from nsde_torch.aligned import aligned
 
 REPLAYED = "rms error, inputs replayed"
 """Head of a table of errors whose inputs are the log's own: in a closed loop they answer what disturbed."""
+BASELINE_NAMES = {"constant_velocity": "constant velocity", "hold": "hold"}
 NO_INTERVALS = "the model is deterministic: it has no intervals"
 SHOWN_LEVELS = ("0.5", "0.9", "0.95")
 
@@ -64,13 +65,12 @@ def parameter_table(parameters: Mapping[str, Mapping[str, Any]]) -> str:
 
 def error_table(test: Mapping[str, Any]) -> str:
     """Held-out errors of the model and the baselines at each horizon."""
-    names = {"model": "model", "constant_velocity": "constant velocity", "hold": "hold"}
     horizons = [f"{h:g}" for h in test["horizons_s"]]
-    rows = []
-    for group, unit in test["units"].items():
-        for key, name in names.items():
-            values = test["errors"][key][group]
-            rows.append([f"{group} [{unit}]", name, *(number(values[h]) for h in horizons)])
+    rows = [
+        [f"{group} [{unit}]", name, *(number(test["errors"][key][group][h]) for h in horizons)]
+        for group, unit in test["units"].items()
+        for key, name in {"model": "model", **BASELINE_NAMES}.items()
+    ]
     return table([what_error(test), "", *(f"{h} s" for h in horizons)], rows)
 
 

@@ -23,9 +23,8 @@ from torch import Tensor
 from nsde_torch.columns import few_operations
 from nsde_torch.data import Windows
 from nsde_torch.errors import NonFiniteError
-from nsde_torch.models.before import inputs_before, sampled
 from nsde_torch.models.identified import IdentifiedModel
-from nsde_torch.models.model import Model
+from nsde_torch.models.model import Model, inputs_before, sampled
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
 

@@ -54,18 +54,13 @@ class FeedbackModel(nn.Module):
         self.register_buffer("weights", torch.zeros((lags + 1) * width + lags * nu + 1, nu))
         self.register_buffer("covariance", torch.eye(nu))
 
-    def filter(
-        self, model: NeuralSDE, u: Tensor, *, dt: float, std: Tensor, generator: torch.Generator
-    ) -> Callable[[int, Tensor], Tensor]:
-        """A filter of paths of a model, to be called at each step k with their states (P B, nz) before u_k acts.
 
-        Of applied inputs (B, T, nu), and sensors with a standard deviation at the start (nx,).
-        """
-        return _Filter(self, model, u, dt, std, generator).moved
+class Filter:
+    """A filter of paths of a model, under applied inputs (B, T, nu) and sensors with an error at the start (nx,).
 
-
-class _Filter:
-    """Covariance (B, m, m) of the state and of the features of the last n steps, m = nz + n width."""
+    `moved` is called at each step k. It carries the covariance (B, m, m) of the state and of the features of the last n
+    steps, m = nz + n width.
+    """
 
     def __init__(
         self, law: FeedbackModel, model: NeuralSDE, u: Tensor, dt: float, std: Tensor, rng: torch.Generator
@@ -85,7 +80,7 @@ class _Filter:
         self.p = u.new_zeros(0, dtype=torch.float64)
 
     def moved(self, k: int, z: Tensor) -> Tensor:
-        """Paths (P B, nz) after the look at u_k."""
+        """Paths (P B, nz) after the look at u_k, from what they are before it acts."""
         model, batch, n = self.model, len(self.u), len(self.of_inputs)
         if k == 0:
             self._begin(z)

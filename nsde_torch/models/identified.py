@@ -51,6 +51,8 @@ class IdentifiedModel(Model):
         >>> model = IdentifiedModel(spec, generator=torch.Generator())
     """
 
+    calculus: Calculus = "either"  # without a diffusion there is no product to be read
+
     def __init__(self, spec: SysidSpec, *, generator: torch.Generator, values: Values | None = None) -> None:
         super().__init__()
         self.spec: SysidSpec = spec
@@ -69,18 +71,9 @@ class IdentifiedModel(Model):
         return Capabilities(has_physics=True)
 
     @property
-    def calculus(self) -> Calculus:
-        """Without a diffusion there is no product to be read."""
-        return "either"
-
-    @property
     def nz(self) -> int:
         """Number of states with the memory of the effects."""
         return self.system.nz
-
-    def augment(self, x: Tensor, u: Tensor) -> Tensor:
-        """State (N, nx) with the memory that is stationary under the inputs `u` (N, nu): (N, nz)."""
-        return self.system.augment(x, u)
 
     def remembered(self, x: Tensor, u: Tensor, u_before: Tensor | None, *, dt: float) -> Tensor:
         """State (N, nx) with the memory that inputs before it left, (N, nz); see `System.remembered`.
@@ -106,7 +99,7 @@ class IdentifiedModel(Model):
         if z.shape[1] == self.nz:
             return self.clock_scale * self.system.drift(t, z, u)
         self.system.check_rows("z", z, nx)
-        return self.clock_scale * self.system.drift(t, self.augment(z, u), u)[:, :nx]
+        return self.clock_scale * self.system.drift(t, self.system.augment(z, u), u)[:, :nx]
 
     def diffusion(self, t: float | Tensor, z: Tensor, u: Tensor) -> Tensor:
         """None: zeros (N, nz)."""

@@ -3,6 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, asdict, dataclass, field
+from math import ceil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypeGuard
 
@@ -13,10 +14,11 @@ from nsde_torch.errors import ConfigError, NonFiniteError, ShapeError
 from nsde_torch.models.networks import InputFilter
 from nsde_torch.shown import data_frame, preformatted
 from nsde_torch.systems import System, make_system
+from nsde_torch.systems.base import MEMORY_S
 from nsde_torch.systems.values import Values
 
 if TYPE_CHECKING:
-    from nsde_torch.data import Run
+    from nsde_torch.data import Run, Windows
     from nsde_torch.models.ensemble import GaussianEnsemble
     from nsde_torch.models.identified import IdentifiedModel
     from nsde_torch.models.neural_sde import NeuralSDE
@@ -298,6 +300,43 @@ def _check_finite(name: str, given: Tensor) -> None:
 def normal(shape: tuple[int, ...], generator: torch.Generator, like: Tensor) -> Tensor:
     """Standard normal numbers from a generator, of another tensor's type and device."""
     return torch.randn(*shape, generator=generator, device=generator.device, dtype=like.dtype).to(like.device)
+
+
+# Paths of a model in windows of data, with as many inputs before them as the memory of effects can still hold.
+
+
+def inputs_before(system: System, windows: "Windows", indices: Tensor) -> Tensor | None:
+    """Inputs of the last `MEMORY_S` seconds before windows (B, K, nu), for `u_before` of `Model.sample`.
+
+    Windows are of the model's step. None where the system carries no memory: nothing would change.
+    """
+    if system.nz == system.nx:
+        return None
+    return windows.before(indices, max(1, ceil(MEMORY_S / windows.dt_model - 1e-9)))
+
+
+def sampled(
+    model: Model,
+    windows: "Windows",
+    indices: Tensor,
+    *,
+    particles: int,
+    generator: torch.Generator,
+    **further: Any,
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Measured states of windows (B, T + 1, nx), sampled ones (P, B, T + 1, nx), and times of the first [s] (B,).
+
+    Windows are of the model's step; `further` is what `Model.sample` takes beside. Inputs are those of a
+    controller unless windows begin at interventions; a model that has learned it reads them.
+    """
+    x, u, t0 = windows.batch(indices)
+    replayed = further.pop("replayed", not windows.interventional)
+    if model.capabilities.knows_feedback:
+        further["replayed"] = replayed
+    further = {"dt": model.spec.dt, "t0": t0.to(x.dtype), **further}
+    before = inputs_before(model.system, windows, indices)
+    paths = model.sample(x[:, 0], u, particles=particles, generator=generator, u_before=before, **further)
+    return x, paths, t0
 
 
 # Questions to a model about what it can do, typed so that the type checker knows what the answer means.

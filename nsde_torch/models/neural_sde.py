@@ -28,7 +28,7 @@ from nsde_torch.columns import join_columns, split_columns
 from nsde_torch.effects import Port
 from nsde_torch.errors import ConfigError, ShapeError
 from nsde_torch.models import networks
-from nsde_torch.models.feedback_model import FeedbackModel
+from nsde_torch.models.feedback_model import FeedbackModel, Filter
 from nsde_torch.models.model import Capabilities, Model, ModelSpec, normal
 from nsde_torch.sde import Calculus, brownian, make_step, rollout
 from nsde_torch.systems import System
@@ -69,6 +69,8 @@ class NeuralSDE(Model):
         >>> spec = SDESpec("hexacopter", dt=0.05, horizon=20, step="milstein")
         >>> model = NeuralSDE(spec, generator=torch.Generator().manual_seed(0))
     """
+
+    calculus: Calculus = "either"  # the supplement's star leaves the product open: the integrator decides
 
     def __init__(self, spec: SDESpec, *, generator: torch.Generator, values: Values | None = None) -> None:
         super().__init__()
@@ -132,11 +134,6 @@ class NeuralSDE(Model):
         )
 
     # ---- the equation ---------------------------------------------------------------------------------
-
-    @property
-    def calculus(self) -> Calculus:
-        """The supplement's star leaves the product open: the integrator decides."""
-        return "either"
 
     def residual(self, x: Tensor) -> dict[Port, Tensor]:
         """Learned contribution on each port, from the state (N, nx)."""
@@ -287,24 +284,22 @@ class NeuralSDE(Model):
             path = rollout(self, z0, u, noise=noise, t0=t0, compile=compile, **given)
             return path[..., :nx]
         p, b = start.shape[:2]
-        x = x0.expand(p, b, nx)
-        of_sensors, of_disturbances, of_runs = split_columns(start, *self._start_widths)
+        x, flat_u = x0.repeat(p, 1), u.expand(p, *u.shape).reshape(p * b, *u.shape[1:])
+        of_sensors, of_disturbances, of_runs = split_columns(start.flatten(0, 1), *self._start_widths)
         if self.spec.measurement:
             assert std is not None
             x = x + of_sensors * std
-        flat_u = u.expand(p, *u.shape).reshape(p * b, *u.shape[1:])
-        disturbance = of_disturbances.reshape(p * b, self.nd) if self.nd else None
         memory = None if memory is None else memory.repeat(p, 1)
         given |= {
             "noise": None if noise is None else noise.reshape(1, p * b, *noise.shape[2:]),
             "t0": t0.repeat(p) if isinstance(t0, Tensor) and t0.ndim else t0,
         }
-        z0 = self.augment(self.project(x.reshape(p * b, nx)), flat_u[:, 0], disturbance, memory)
+        z0 = self.augment(self.project(x), flat_u[:, 0], of_disturbances, memory)
         if self.spec.between_runs:
             # the column with the number of the run, which nobody reads
             wide = join_columns((flat_u, torch.zeros_like(flat_u[..., :1])))
             # each row is in a run of its own
-            with self.of_system(in_new_runs(self.system, self.spec.between_runs, of_runs.reshape(p * b, -1))):
+            with self.of_system(in_new_runs(self.system, self.spec.between_runs, of_runs)):
                 path = rollout(self, z0, wide, **given)
         else:
             path = rollout(self, z0, flat_u, compile=compile, **given)
@@ -378,7 +373,7 @@ class NeuralSDE(Model):
             start[..., start.shape[-1] - numbers.shape[-1] :] = numbers
         given: dict[str, Any] = {"noise": noise, "start": start, "std": std, "compile": compile, "t0": t0}
         if replayed and self.feedback is not None:
-            given["correct"] = self.feedback.filter(self, u, dt=dt, std=std, generator=generator)
+            given["correct"] = Filter(self.feedback, self, u, dt, std, generator).moved
         path = self.paths(x0, u, dt=dt, u_before=u_before, **given)
         path = path.expand(particles, *path.shape[1:])
         if not bool((std > 0).any()):

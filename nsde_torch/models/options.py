@@ -1,4 +1,4 @@
-"""What a user chooses of a model; null leaves it to what the system and the data ask for (`models.kinds`)."""
+"""What a user chooses of a model; null leaves it to what the system and the data ask for (`models.kind`)."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -26,7 +26,7 @@ class ModelOptions(Checked):
 class NodeOptions(ModelOptions):
     """Neural ODE: the same drift, no diffusion."""
 
-    home = "nsde_torch.models.kinds:NeuralODEKind"
+    home = "nsde_torch.models.kind:NeuralODEKind"
 
     kind: str = key("node", "kind of the model, set by model=", choices=("node",))
     residual_hidden: tuple[int, ...] = key((8, 16), "widths of the residual networks (tanh)", low=1)
@@ -57,7 +57,7 @@ class DiffusionOptions(ModelOptions):
 class NsdeOptions(DiffusionOptions):
     """Neural SDE: declared physics, residual networks, distance-aware diffusion."""
 
-    home = "nsde_torch.models.kinds:NeuralSDEKind"
+    home = "nsde_torch.models.kind:NeuralSDEKind"
 
     kind: str = key("nsde", "kind of the model, set by model=", choices=("nsde",))
     residual_hidden: tuple[int, ...] = key((8, 16), "widths of the residual networks (tanh)", low=1)
@@ -73,7 +73,7 @@ class NsdeOptions(DiffusionOptions):
 class BlackboxOptions(DiffusionOptions):
     """Neural SDE without physics: a network of state and input is the whole drift."""
 
-    home = "nsde_torch.models.kinds:BlackboxKind"
+    home = "nsde_torch.models.kind:BlackboxKind"
 
     kind: str = key("blackbox_nsde", "kind of the model, set by model=", choices=("blackbox_nsde",))
     drift_hidden: tuple[int, ...] = key((64, 64), "widths of the drift network (tanh)", low=1)
@@ -84,7 +84,7 @@ class BlackboxOptions(DiffusionOptions):
 class EnsembleOptions(ModelOptions):
     """Gaussian ensemble: networks that predict mean and variance of the next state."""
 
-    home = "nsde_torch.models.kinds:EnsembleKind"
+    home = "nsde_torch.models.kind:EnsembleKind"
 
     kind: str = key(
         "ensemble",
@@ -115,7 +115,7 @@ class EnsembleOptions(ModelOptions):
 class SysidOptions(ModelOptions):
     """Least-squares system identification: the declared physics and nothing else, in seconds."""
 
-    home = "nsde_torch.models.kinds:SysidKind"
+    home = "nsde_torch.models.kind:SysidKind"
 
     kind: str = key(
         "sysid",

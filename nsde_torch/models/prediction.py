@@ -11,7 +11,7 @@ import torch
 from nsde_torch.arrays import Array
 from nsde_torch.data import Run, Windows
 from nsde_torch.errors import ConfigError, DataError, ShapeError
-from nsde_torch.models.before import sampled
+from nsde_torch.models.model import sampled
 from nsde_torch.plots.data_figure import with_angles
 from nsde_torch.plots.evaluation import PredictionBand, evolution
 from nsde_torch.shown import data_frame, preformatted

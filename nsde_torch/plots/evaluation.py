@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from nsde_torch.arrays import Array
-from nsde_torch.errors import ShapeError
 from nsde_torch.plots import style
 from nsde_torch.plots.data_figure import with_angles
 
@@ -342,7 +341,7 @@ def horizon_errors(
     return figure
 
 
-_NOT_TERMS = ("step", "loss", "validation", "lr", "seconds", "grad_norm")
+_NOT_TERMS = ("step", "loss", "validation")
 
 
 def _column(history: Sequence[Mapping[str, float | None]], name: str) -> tuple[Array, Array]:
@@ -380,14 +379,9 @@ def learning_curves(
             None entry is a step at which that was not computed.
         kept: Step of the model that was kept; default: that of the smallest validation score.
 
-    Raises:
-        ShapeError: the history is empty, or a row has no `step`.
-
     Example:
         >>> figure = learning_curves([{"step": 0, "loss": 2.0}, {"step": 1, "loss": 1.0}])
     """
-    if not history or any("step" not in row for row in history):
-        raise ShapeError("`history` must hold at least one row, each with the key `step`.")
     terms = [k for k in dict.fromkeys(k for row in history for k in row) if k not in _NOT_TERMS]
     drawn = [name for name in terms if len(_column(history, name)[0])]
     figure, axes = style.panels(1, 2 if drawn else 1, height=3.6, title=title)
@@ -406,8 +400,6 @@ def learning_curves(
     sizes = []
     for k, name in enumerate(drawn):
         step, value = _column(history, name)
-        if (value <= 0).all() and (value < 0).any():  # a reward: drawn by its size
-            value, name = -value, f"−{name}"
         look = {"color": style.COLOURS[k % 6], "linestyle": style.DASHES[k % 6]}
         axes[0, 1].plot(step, _smooth(value), label=name, **look)
         sizes.append(value[value != 0])

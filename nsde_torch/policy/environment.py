@@ -134,7 +134,7 @@ class Transition:
 @final
 @dataclass(eq=False)
 class BatchEnvironment:
-    """A task on N machines; ConfigError where there is none.
+    """A task on N machines.
 
     Example:
         >>> generator = torch.Generator().manual_seed(0)
@@ -153,20 +153,13 @@ class BatchEnvironment:
     """Begin with episodes of unequal length, so that the machines are not all at the same moment from then on."""
 
     def __post_init__(self) -> None:
-        if self.n < 1:
-            raise ConfigError(f"`n_envs` must be at least 1; got {self.n!r}.")
         self._length = torch.zeros(self.n, dtype=torch.long)
         self._limit = torch.full((self.n,), self.task.steps)
         self._total = torch.zeros(self.n, dtype=torch.float64)
 
-    def reset(self, x0: Tensor | None = None) -> Tensor:
-        """Start all episodes, in first states (N, nx) or where episodes start; what the policy sees (N, no), float32.
-
-        ShapeError: `x0` has another number of rows.
-        """
-        if x0 is not None and len(x0) != self.n:
-            raise ShapeError(f"`x0` must have a row for each of the {self.n} machines; got {len(x0)}.")
-        x = self.start.draw(self.n, self.generator) if x0 is None else x0
+    def reset(self) -> Tensor:
+        """Start all episodes; what the policy sees (N, no), float32."""
+        x = self.start.draw(self.n, self.generator)
         self._length, self._total = torch.zeros_like(self._length), torch.zeros_like(self._total)
         self._limit = torch.full((self.n,), self.task.steps)
         if self.stagger:

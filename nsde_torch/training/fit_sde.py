@@ -14,8 +14,7 @@ from torch import Tensor, nn
 from nsde_torch.data import Windows
 from nsde_torch.errors import NonFiniteError
 from nsde_torch.evaluation.metrics import thinned
-from nsde_torch.models.before import inputs_before
-from nsde_torch.models.model import normal
+from nsde_torch.models.model import inputs_before, normal
 from nsde_torch.models.neural_sde import NeuralSDE, SDESpec
 from nsde_torch.sde import brownian
 from nsde_torch.systems.in_run import owner_of

@@ -9,7 +9,6 @@ from torch import Tensor
 
 from nsde_torch.errors import ConfigError, NonFiniteError
 from nsde_torch.models import EnsembleSpec, GaussianEnsemble
-from nsde_torch.models.ensemble import StackedMLP
 from tests.helpers.draws import generator
 from tests.helpers.toy_systems import DT
 
@@ -50,21 +49,6 @@ def rows(model: GaussianEnsemble, n: int = 9, seed: int = 1) -> tuple[Tensor, Te
 
 
 # ---- one step -------------------------------------------------------------------------------------------
-
-
-def test_batched_members_equal_members_one_by_one() -> None:
-    networks = StackedMLP(5, 3, (8, 6), 4, generator=generator())
-    x = torch.randn(5, 11, 3, generator=generator(1))
-    with torch.no_grad():
-        for bias in networks.biases:
-            bias.normal_(generator=generator(2))
-        together = networks(x)
-        for m in range(5):
-            y = x[m]
-            for k, (w, b) in enumerate(zip(networks.weights, networks.biases, strict=True)):
-                y = y @ w[m] + b[m, 0]
-                y = y * torch.sigmoid(y) if k < 2 else y
-            torch.testing.assert_close(together[m], y, rtol=1e-5, atol=1e-6)
 
 
 @pytest.mark.parametrize("system", ["cartpole", "hexacopter"])

@@ -47,8 +47,9 @@ def test_memory_of_effects_starts_stationary() -> None:
     x[:, 6] = 1.0
     u = torch.full((1, 6), 0.4, dtype=torch.float64)
     assert model.nz == 19
-    assert torch.equal(model.augment(x, u)[:, 13:], u)
-    torch.testing.assert_close(model.drift(0.0, x, u), model.drift(0.0, model.augment(x, u), u)[:, :13])
+    z = model.system.augment(x, u)
+    assert torch.equal(z[:, 13:], u)
+    torch.testing.assert_close(model.drift(0.0, x, u), model.drift(0.0, z, u)[:, :13])
     assert sample(model, x, u[:, None], dt=0.05).shape == (1, 1, 2, 13)
 
 

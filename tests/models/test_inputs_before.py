@@ -1,10 +1,13 @@
 """`u_before`: lags and delays begin where the log had them, for every kind of model."""
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
+from nsde_torch.data import Run, Windows
 from nsde_torch.errors import NonFiniteError, ShapeError
+from nsde_torch.evaluation.scores import rollout_squares, score
 from nsde_torch.models import (
     IdentifiedModel,
     Model,
@@ -35,7 +38,7 @@ def flight(effect: str) -> tuple[Tensor, Tensor]:
     return torch.cat(x), u
 
 
-def identified(effect: str) -> Model:
+def identified(effect: str) -> IdentifiedModel:
     spec = SysidSpec("hexacopter", dt=DT, horizon=AHEAD, effects=(effect,))
     made = IdentifiedModel(spec, generator=torch.Generator(), values=VALUES[effect])
     return made.double().requires_grad_(False)
@@ -87,6 +90,19 @@ def test_inputs_before_are_restored_with_those_that_follow() -> None:
     assert not torch.allclose(expected, sample(model, x0, logged, u_before=before, applied=True))
     # the first input is restored from what was before it, and not from itself held
     assert not torch.allclose(restored[:, 10], model.applied_inputs(logged, DT)[:, 0])
+
+
+def test_every_rollout_that_is_scored_begins_with_the_inputs_before_its_window() -> None:
+    x, u = flight("motor_lag")
+    run = Run("a", DT * np.arange(len(x)), x.numpy(), torch.cat((u, u[-1:])).numpy())
+    windows = Windows([run], DT, 10, dtype=torch.float64)
+    model, starts = identified("motor_lag"), torch.arange(25, len(windows), 4)
+    scores = score(model, windows, starts, [5, 10], seed=0, particles=3)
+    assert float(scores.squares.max()) < 1e-6
+    assert float(rollout_squares(model, windows, starts, [5, 10]).max()) < 1e-6
+    x, u, _ = windows.batch(starts)
+    stationary = model.sample(x[:, 0], u, dt=DT, particles=1, generator=torch.Generator())
+    assert float((stationary[0] - x).square().max()) > 1e-2
 
 
 @pytest.mark.parametrize(

@@ -53,7 +53,7 @@ def history(steps: int = 300) -> list[dict[str, float | None]]:
     rows: list[dict[str, float | None]] = []
     for k in range(steps):
         fall = 3 * np.exp(-k / 60)
-        terms = {"loss": fall + 0.4, "data": fall + 0.3, "gradient": 0.1 * np.exp(-k / 90), "mu": -0.001 * k}
+        terms = {"loss": fall + 0.4, "data": fall + 0.3, "gradient": 0.1 * np.exp(-k / 90), "mu": 0.001 * k}
         rows.append({"step": k, **terms, "validation": None if k % 20 else 1.0 + (k - 140) ** 2 / 1e4})
     return rows
 
@@ -64,7 +64,7 @@ def test_learning_curves_show_terms_and_mark_the_best_validation(tmp_path: Path)
     left, right = panels(figure)
     assert left.get_yscale() == right.get_yscale() == "log"
     assert "kept: step 140" in [line.get_label() for line in left.lines]
-    assert [line.get_label() for line in right.lines][:3] == ["data", "gradient", "−mu"]
+    assert [line.get_label() for line in right.lines][:3] == ["data", "gradient", "mu"]
 
 
 # ---- rollouts -----------------------------------------------------------------------------------------

@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
@@ -24,7 +25,7 @@ from nsde_torch.policy import (
 
 pytest.importorskip("stable_baselines3", reason="needs the extra nsde_torch[policy]")
 
-from nsde_torch.policy.ppo import Learner
+from nsde_torch.policy.ppo import Learner, PolicyVecEnv
 
 pytestmark = pytest.mark.drawn
 
@@ -109,6 +110,22 @@ def test_interrupted_training_goes_on_where_it_was(tmp_path: Path) -> None:
     assert said[0] == "going on after 128 interactions"
     assert [row["interactions"] for row in result["curve"]] == [0, 128, 256, 384, 512]
     assert result["interactions"] == 512
+
+
+def test_the_learner_is_told_of_the_end_of_an_episode_and_sees_scaled_rewards() -> None:
+    env = PolicyVecEnv(machines(2), reward_scale=0.1)
+    env.reset()
+    total = np.zeros(2)
+    for _ in range(TASK.steps):
+        seen, rewards, dones, infos = env.step(np.zeros((2, 1), dtype=np.float32))
+        total += rewards
+    assert dones.all()
+    for row, info in enumerate(infos):
+        assert info["TimeLimit.truncated"]
+        assert info["terminal_observation"].shape == (5,)
+        assert not np.array_equal(info["terminal_observation"], seen[row])
+        assert info["episode"]["l"] == TASK.steps
+        assert info["episode"]["r"] == pytest.approx(10 * total[row], rel=1e-4)
 
 
 def test_score_is_relative_to_policies_of_the_same_truth(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from nsde_torch.models import make_model
 from nsde_torch.models.neural_sde import NeuralSDE, SDESpec
 from nsde_torch.models.run_directory import load, save
 from nsde_torch.systems import make_system
-from nsde_torch.training.between_runs import _log_likelihood, spreads, with_numbers
+from nsde_torch.training.between_runs import spreads, with_numbers
 from nsde_torch.training.task import Fitted
 from tests.training.test_fit_innovations import fitted as fitted_to
 
@@ -165,37 +165,6 @@ def test_a_run_directory_keeps_what_differs_and_refuses_what_the_machine_does_no
     torch.testing.assert_close(here, there)
     with pytest.raises(ConfigError, match="magnet"):
         make_model(replace(SPEC, between_runs={"magnet/size": [0.1]}), generator=torch.Generator())
-
-
-# ---- the likelihood ------------------------------------------------------------------------------------
-
-
-def test_the_likelihood_of_spreads_is_that_of_the_covariance_written_out() -> None:
-    rng = np.random.default_rng(7)
-    runs, n = 4, 12
-    shared, own = rng.normal(size=(runs, n, 2)), rng.normal(size=(runs, n, 3))
-    e = rng.normal(size=(runs, n, 1))
-    gram = np.stack([np.hstack(t).T @ np.hstack(t) for t in zip(e, shared, own, strict=True)])
-
-    def written_out(variance: NDArray[np.float64]) -> float:
-        """Restricted log likelihood of the dense model (Harville 1977), up to a constant."""
-        whole = np.zeros((runs * n, runs * n))
-        for r in range(runs):
-            at = slice(r * n, (r + 1) * n)
-            whole[at, at] = np.eye(n) + own[r] @ np.diag(variance) @ own[r].T
-        x, y = shared.reshape(-1, 2), e.reshape(-1)
-        inverse = np.linalg.inv(whole)
-        inner = x.T @ inverse @ x
-        left = y - x @ np.linalg.solve(inner, x.T @ inverse @ y)
-        sizes = np.linalg.slogdet(whole)[1] + np.linalg.slogdet(inner)[1]
-        return float(-0.5 * left @ inverse @ left - 0.5 * sizes)
-
-    def found(variance: NDArray[np.float64]) -> float:
-        return _log_likelihood(gram, np.arange(3), 3 + np.arange(3), variance)
-
-    some = [np.array(v) for v in ([0.0, 0.0, 0.0], [0.5, 0.0, 2.0], [0.1, 3.0, 0.7])]
-    differences = [found(v) - found(some[0]) for v in some]
-    assert differences == pytest.approx([written_out(v) - written_out(some[0]) for v in some], rel=1e-6)
 
 
 @pytest.mark.parametrize("target", ["run_force", "linear_spring/stiffness"])

@@ -19,14 +19,6 @@ SCORES = [(crps, 2), (crps, 5), (paired_score, 2), (paired_score, 4), (paired_sc
 Score = Callable[[Tensor], Tensor]
 
 
-@pytest.mark.parametrize("particles", [2, 3, 8])
-def test_crps_equals_the_double_loop_over_particles(particles: int) -> None:
-    e = torch.randn(particles, 5, 4, generator=generator(), dtype=torch.float64)
-    spread = (e[:, None] - e).abs().sum((0, 1))
-    expected = e.abs().mean(0) - spread / (2 * particles * (particles - 1))
-    torch.testing.assert_close(crps(e), expected, rtol=1e-12, atol=1e-12)
-
-
 @pytest.mark.parametrize(("score", "particles"), SCORES)
 @pytest.mark.parametrize(("mean", "sigma"), [(0.0, 1.0), (0.7, 0.4), (-2.0, 1.5)])
 def test_the_expected_score_is_the_crps_of_the_gaussian_and_if_paired_the_error_of_its_mean_too(

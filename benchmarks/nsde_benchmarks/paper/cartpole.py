@@ -10,8 +10,7 @@ from nsde_torch import plots
 from nsde_torch.arrays import Array
 from nsde_torch.data import Run, Windows
 from nsde_torch.evaluation.metrics import evaluate
-from nsde_torch.models.before import inputs_before
-from nsde_torch.models.model import Model
+from nsde_torch.models.model import Model, inputs_before
 from nsde_torch.models.neural_sde import NeuralSDE
 
 from .outcome import Check, ExperimentOutcome, errs_less, prediction, rollout

@@ -9,8 +9,7 @@ import torch
 from nsde_torch import plots
 from nsde_torch.data import DataSet, Run, Windows
 from nsde_torch.evaluation.metrics import evaluate
-from nsde_torch.models.before import inputs_before
-from nsde_torch.models.model import Model
+from nsde_torch.models.model import Model, inputs_before
 from nsde_torch.plots import PredictionBand
 from nsde_torch.plots.data_figure import roll_pitch_yaw, speed_and_angles
 from nsde_torch.systems import System

@@ -30,7 +30,7 @@ from nsde_torch.errors import ConfigError
 from nsde_torch.models import Model
 from nsde_torch.models.run_directory import load
 from nsde_torch.simulation import make_plant
-from nsde_torch.simulation.learned_plant import LearnedPlant
+from nsde_torch.simulation.plant import LearnedPlant
 from nsde_torch.systems import Multirotor, System
 from nsde_torch.systems.machines import machine
 

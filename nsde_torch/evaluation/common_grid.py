@@ -7,6 +7,7 @@ stretch. A horizon that is no whole number of a model's steps is scored at the n
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -164,16 +165,14 @@ def common_grids(
     candidates: Sequence[Candidate], data: DataSet, runs: Sequence[Run], horizons: Sequence[float]
 ) -> tuple[list[Grid], list[Note]]:
     """The grid of every model, with the same starts, and what to say of their clocks and inputs."""
-    made = []
+    whole = []
     for c in candidates:
         steps = [max(1, round(h / c.model.spec.dt)) for h in horizons]
         own = _with_columns(runs, c, data)
         windows = windows_of(c.model, own, steps[-1])
-        made.append((own, windows, start_grid(windows), steps))
-    rows = [windows.rows(starts) for _, windows, starts, _ in made]
-    common = rows[0]
-    for other in rows[1:]:
-        common = np.intersect1d(common, other)
+        whole.append(Grid(own, windows, start_grid(windows), steps, c.model.spec.dt))
+    rows = [grid.windows.rows(grid.starts) for grid in whole]
+    common = reduce(np.intersect1d, rows)
     if len(common) == 0:
         raise DataError(f"no stretch of {horizons[-1]:g} s without a gap; evaluate on longer runs.")
     smoothing = smoothing_width(data.runs, candidates[0].model.system.nu)
@@ -183,11 +182,11 @@ def common_grids(
         notes.append(note(INTERVENTIONS))
     elif readers:
         notes.append(note(f"{', '.join(readers)}: {READ}"))
-    for c, (own, windows, starts, steps), at in zip(candidates, made, rows, strict=True):
-        dt, remark = _own_step(c, data, windows, starts[:1])
+    for c, grid, at in zip(candidates, whole, rows, strict=True):
+        dt, remark = _own_step(c, data, grid.windows, grid.starts[:1])
         notes += remark
-        kept = thinned(starts[torch.from_numpy(np.isin(at, common))])
-        grids.append(Grid(own, windows, kept, steps, dt))
+        kept = thinned(grid.starts[torch.from_numpy(np.isin(at, common))])
+        grids.append(replace(grid, starts=kept, dt=dt))
         notes += _of_smoothing(c, smoothing)
         ahead.append((c.name, lookahead(smoothing, c.reach)))
     return grids, notes + _said_once(ahead)

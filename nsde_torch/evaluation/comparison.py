@@ -42,7 +42,7 @@ from torch import Tensor
 from nsde_torch.data import DataSet, Run
 from nsde_torch.data.interventions import interventional
 from nsde_torch.evaluation import bootstrap
-from nsde_torch.evaluation.bootstrap import Blocks, make_blocks, paired_bootstrap
+from nsde_torch.evaluation.bootstrap import make_blocks, paired_bootstrap
 from nsde_torch.evaluation.common_grid import (
     Candidate,
     Grid,
@@ -58,7 +58,6 @@ from nsde_torch.evaluation.report import listed
 from nsde_torch.evaluation.scores import LEVELS, PARTICLES, Scores, baseline_squares, rms_by_group, score
 from nsde_torch.evaluation.seen import BY_NAME, NAMESAKE, PART, WHOLE, trained_on
 from nsde_torch.shown import data_frame, preformatted
-from nsde_torch.systems import System
 from nsde_torch.whole_files import json_text
 
 RESULT = "evaluation.json"
@@ -317,19 +316,20 @@ def _differences(
         both = torch.from_numpy(np.intersect1d(first.kept.numpy(), kept.numpy()))
         errors: dict[str, dict[str, Any]] = {}
         if len(both):
-            pair = [
+            mine, theirs = (
                 e[torch.searchsorted(rows, both)].flatten(1).double()
                 for rows, e in ((first.kept, first.squares), (kept, squares))
-            ]
+            )
             own = make_blocks(index[both.numpy()], t[both.numpy()], length=length)
             generator = torch.Generator().manual_seed(seed)
-            made = paired_bootstrap(*pair, own, generator=generator, replicates=replicates, level=_LEVEL)
+            made = paired_bootstrap(
+                mine, theirs, own, generator=generator, replicates=replicates, level=_LEVEL
+            )
             meet = [abs(a - b) <= 0.01 * a for a, b in zip(grids[0].times, times, strict=True)]
-            table = torch.stack([*(e.mean(0).sqrt() for e in pair), made.value, made.low, made.high], -1)
-            for g, own_table in zip(
-                first.system.error_groups, table.view(len(keys), -1, 5).unbind(1), strict=True
-            ):
-                rows = [[value * g.factor for value in row] for row in own_table.tolist()]
+            roots = (mine.mean(0).sqrt(), theirs.mean(0).sqrt())
+            table = torch.stack([*roots, made.value, made.low, made.high], -1).view(len(keys), -1, 5)
+            for g, of_group in zip(first.system.error_groups, table.unbind(1), strict=True):
+                rows = [[value * g.factor for value in row] for row in of_group.tolist()]
                 found = zip(keys, rows, meet, strict=True)
                 errors[g.name] = {h: _difference(*row) if there else None for h, row, there in found}
         against[name] = {

@@ -18,6 +18,7 @@ from nsde_torch.evaluation.metrics import horizons_of, start_grid, thinned, wind
 from nsde_torch.evaluation.scores import interval_quantiles
 from nsde_torch.models.model import Model, is_stochastic, sampled
 from nsde_torch.models.neural_sde import NeuralSDE
+from nsde_torch.plots.style import some
 
 # Calibration of the diffusion by errors on runs that a model did not see.
 #
@@ -220,10 +221,9 @@ def _rollouts(model: Model, runs: Sequence[Run], horizon_s: float, seed: int, no
     )
 
 
-def _rows(model: Model, runs: Sequence[Run], limit: int) -> Tensor:
+def _rows(model: Model, runs: Sequence[Run], most: int) -> Tensor:
     x = np.concatenate([run.x[a:b] for run in runs for a, b in run.segments])
-    keep = np.linspace(0, len(x) - 1, min(limit, len(x))).round().astype(int)
-    return torch.as_tensor(x[keep]).to(model.clock_scale)
+    return torch.as_tensor(some(x, most)).to(model.clock_scale)
 
 
 @torch.no_grad()

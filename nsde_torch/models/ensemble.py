@@ -200,16 +200,6 @@ class GaussianEnsemble(Model):
         """Distance of the bounds of the log-variance (members, 1, n_change)."""
         return nn.functional.softplus(self.gap)
 
-    def change(self, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
-        """Mean and standard deviation of the change over one step, member by member.
-
-        From states (N, nx) and inputs over the step (N, nu): both (members, N, n_change), in the units of the state (a
-        change of attitude in radians).
-        """
-        mean, v = self.standard(self.inputs(x, u).expand(self.spec.members, -1, -1))
-        scale = self.change_scale.scale
-        return self.change_scale.mean + scale * mean, scale * torch.exp(0.5 * v)
-
     # ---- paths ----------------------------------------------------------------------------------------
 
     def draw_members(self, rows: int, generator: torch.Generator) -> Tensor:

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from nsde_torch.lazy import resolver
+from nsde_torch.lazy import names, resolver
 
 if TYPE_CHECKING:
     from nsde_torch.sde.checks import brownian, coarsen
@@ -14,38 +14,18 @@ if TYPE_CHECKING:
     )
     from nsde_torch.sde.integrate import rollout
     from nsde_torch.sde.options import IntegratorOptions, TorchDiffEqOptions
-    from nsde_torch.sde.protocol import (
+    from nsde_torch.sde.registry import STEPS, make_step
+    from nsde_torch.sde.step import (
         SDE,
         Calculus,
         HasDiagonalDerivative,
         HoldsColumns,
+        Step,
         Time,
         WithoutNoise,
         within,
     )
-    from nsde_torch.sde.registry import STEPS, make_step
-    from nsde_torch.sde.step import Step
 
-__all__ = [
-    "SDE",
-    "STEPS",
-    "Calculus",
-    "CompilationWarning",
-    "HasDiagonalDerivative",
-    "HoldsColumns",
-    "IntegratorOptions",
-    "Step",
-    "Time",
-    "TorchDiffEqOptions",
-    "WithoutNoise",
-    "brownian",
-    "coarsen",
-    "compiled",
-    "diffusion_and_slope",
-    "make_step",
-    "rollout",
-    "with_calculus",
-    "within",
-]
+__all__ = names(__name__)
 
 __getattr__ = resolver(__name__)

@@ -4,8 +4,7 @@ import torch
 from torch import Tensor
 
 from nsde_torch.errors import NonFiniteError, ShapeError, SolverError
-from nsde_torch.sde.protocol import SDE
-from nsde_torch.sde.step import Step
+from nsde_torch.sde.step import SDE, Step
 
 # Brownian increments dW ~ N(0, dt), drawn from a generator that the caller holds.
 #

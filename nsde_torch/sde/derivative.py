@@ -16,8 +16,7 @@ import torch
 from torch import Tensor
 
 from nsde_torch.errors import SolverError
-from nsde_torch.sde.protocol import SDE, HasDiagonalDerivative, HoldsColumns, Time, within
-from nsde_torch.sde.step import Step
+from nsde_torch.sde.step import SDE, HasDiagonalDerivative, HoldsColumns, Step, Time, within
 
 
 def diffusion_and_slope(sde: SDE, t: Time, z: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:

@@ -15,8 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from nsde_torch.sde.protocol import SDE, Time, within
-from nsde_torch.sde.step import Step
+from nsde_torch.sde.step import SDE, Step, Time, within
 
 # of the largest eigenvalue, times a step. Of a motor whose current settles in 1 ms and that is logged every 10 ms, the
 # voltage was to turn the other way, and was a torque of its own (tests/inference/test_stiff.py)

@@ -12,8 +12,7 @@ from torch import Tensor
 from nsde_torch.columns import by_column
 from nsde_torch.sde.checks import check_arguments, check_finite
 from nsde_torch.sde.derivative import compiled, eager, quiet_compiler
-from nsde_torch.sde.protocol import SDE, HoldsColumns, Time
-from nsde_torch.sde.step import Step
+from nsde_torch.sde.step import SDE, HoldsColumns, Step, Time
 
 
 def rollout(

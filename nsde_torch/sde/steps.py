@@ -31,8 +31,7 @@ from typing import final
 from torch import Tensor
 
 from nsde_torch.sde.derivative import diffusion_and_slope
-from nsde_torch.sde.protocol import SDE, Time, within
-from nsde_torch.sde.step import Step
+from nsde_torch.sde.step import SDE, Step, Time, within
 
 
 @final

@@ -12,8 +12,7 @@ from torch import Tensor, nn
 
 from nsde_torch.errors import ConfigError
 from nsde_torch.sde.options import TORCHDIFFEQ_METHODS
-from nsde_torch.sde.protocol import SDE, Time, within
-from nsde_torch.sde.step import Step
+from nsde_torch.sde.step import SDE, Step, Time, within
 
 
 @final

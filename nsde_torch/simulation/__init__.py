@@ -9,10 +9,9 @@ if TYPE_CHECKING:
     from nsde_torch.simulation.excitation import excited_runs, spring_runs
     from nsde_torch.simulation.flights import manual_flights
     from nsde_torch.simulation.generate import Simulation, simulate, write
-    from nsde_torch.simulation.learned_plant import LearnedPlant
     from nsde_torch.simulation.make import Making, make_plant, record
     from nsde_torch.simulation.options import Replay
-    from nsde_torch.simulation.plant import Plant
+    from nsde_torch.simulation.plant import LearnedPlant, Plant
     from nsde_torch.simulation.registry import simulated
 
 __all__ = names(__name__)

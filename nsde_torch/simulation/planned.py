@@ -24,13 +24,13 @@ PLAN, DESIGN = "plan.csv", "design.json"
 def planned_runs(
     name: str,
     *,
-    durations: Sequence[float] | None = None,
+    durations: Sequence[float],
     seed: int,
-    making: Making = Making(),
+    making: Making,
     plan: str,
     start: Mapping[str, float] | None = None,
 ) -> list[RawRun]:
-    """One run of a plan for each duration [s] (default: one of the plan's), which the plan is held to the end of.
+    """One run of a plan for each duration [s], which the plan is held to the end of.
 
     The plan is a CSV file of `t` and the inputs, or the folder that `nsde design` wrote. `start` are first values of
     states; default: those of `design.json` beside the plan, else 0. For the rest see `excited_runs`. A ConfigError
@@ -40,17 +40,17 @@ def planned_runs(
     names = plant.system.state_names
     t, table = read_plan(plan, plant.system.input_names)
     first = _first_state(Path(plan), names, start)
-    lengths = [float(t[-1])] if durations is None else list(durations)
 
     def control(at: float, x: torch.Tensor) -> torch.Tensor:
         row = int(np.searchsorted(t, at + 1e-6 * plant.dt, side="right")) - 1
         return torch.as_tensor(table[row]).expand(len(x), -1)
 
-    return record(plant, np.tile(first, (len(lengths), 1)), control, durations=lengths, prefix="experiment")
+    start_of_all = np.tile(first, (len(durations), 1))
+    return record(plant, start_of_all, control, durations=durations, prefix="experiment")
 
 
 def planned_flights(
-    name: str, *, durations: Sequence[float] | None = None, seed: int, making: Making = Making(), plan: str
+    name: str, *, durations: Sequence[float], seed: int, making: Making, plan: str
 ) -> list[RawRun]:
     """One flight of a plan for each duration, along a path through points (`nsde_torch.control.shapes.from_csv`).
 
@@ -58,16 +58,15 @@ def planned_flights(
     """
     dt = making.sample(name)
     path = from_csv(plan_file(plan))
-    lengths = [path.duration] if durations is None else list(durations)
     grid = path.dt * np.arange(len(path.p))
     wanted = []
-    for duration in lengths:
+    for duration in durations:
         t = np.minimum(dt * np.arange(round(duration / dt) + 1), grid[-1])
         p, v, a = (np.stack([np.interp(t, grid, c) for c in part.T], 1) for part in (path.p, path.v, path.a))
         wanted.append(
             Wanted(p, v, a, np.interp(t, grid, path.yaw), np.interp(t, grid, np.gradient(path.yaw, path.dt)))
         )
-    flown = fly(name, wanted, generator=noise_generator(seed, 1), making=making, durations=lengths)
+    flown = fly(name, wanted, generator=noise_generator(seed, 1), making=making, durations=durations)
     parts = (flown.one(len(one.p), i) for i, one in enumerate(wanted))
     return [
         simulated_run(f"experiment_{i}", dt, part.x, part.u, battery_column(part.voltage))

@@ -13,7 +13,7 @@ from nsde_torch.control.shapes import hover, lemniscate
 from nsde_torch.errors import ConfigError
 from nsde_torch.models import NeuralSDE
 from nsde_torch.simulation import make_plant
-from nsde_torch.simulation.learned_plant import LearnedPlant
+from nsde_torch.simulation.plant import LearnedPlant
 from nsde_torch.systems import System, make_system
 from tests.helpers.control_problems import controller_of
 

@@ -17,7 +17,6 @@ from nsde_torch.evaluation.bootstrap import (
     Blocks,
     Difference,
     make_blocks,
-    mean_bootstrap,
     paired_bootstrap,
     verdict,
 )
@@ -252,7 +251,7 @@ def correlated(shape: tuple[int, int], tau: float, rng: np.random.Generator) -> 
     return out
 
 
-def held(tau: float, *, runs: int, seconds: float, single: bool = False) -> float:
+def held(tau: float, *, runs: int, seconds: float) -> float:
     """Share of 400 repetitions in which the 95 % interval holds the true difference of two correlated errors."""
     rng, n, many = np.random.default_rng(0), round(seconds / QUARTER), 400
     parts = []
@@ -261,7 +260,7 @@ def held(tau: float, *, runs: int, seconds: float, single: bool = False) -> floa
         parts.append((shared + 0.5 * own, 0.9 * shared + 0.7 * other))
     first, second = (torch.from_numpy(np.concatenate([p[k] for p in parts])) ** 2 for k in range(2))
     run, t = np.repeat(np.arange(runs), n), np.tile(QUARTER * np.arange(n), runs)
-    blocks = Blocks(np.arange(len(run)), len(run), "starts") if single else make_blocks(run, t, length=4.0)
+    blocks = make_blocks(run, t, length=4.0)
     made = paired_bootstrap(first, second, blocks, generator=generator(), replicates=600)
     truth = math.sqrt(0.81 + 0.49) - math.sqrt(1.25)
     return float(((made.low <= truth) & (made.high >= truth)).double().mean())
@@ -293,16 +292,6 @@ def test_too_few_blocks_are_said_to_be_so() -> None:
     assert one_run(48).count == 3
     assert words(made) == ["too few blocks"]
     assert bool(made.value.isfinite())
-
-
-def test_intervals_of_a_mean_hold_what_they_say_on_rows_correlated_in_time() -> None:
-    rng, n, many = np.random.default_rng(2), 80, 400
-    values = torch.from_numpy(np.concatenate([0.2 + correlated((n, many), 0.5, rng) for _ in range(4)]))
-    blocks = make_blocks(np.repeat(np.arange(4), n), np.tile(QUARTER * np.arange(n), 4), length=4.0)
-    made = mean_bootstrap(values, blocks, generator=generator(), level=0.9)
-    inside = ((made.low < 0.2) & (made.high > 0.2)).double().mean()
-    assert 0.85 < float(inside) < 0.95
-    np.testing.assert_allclose(made.value.numpy(), values.numpy().mean(0))
 
 
 def noisy(name: str, seed: int, rows: int = 2000) -> Run:

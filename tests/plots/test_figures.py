@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from dataclasses import dataclass, field
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -12,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from nsde_torch import plots
+from nsde_torch.data import Run
 from nsde_torch.plots import (
     calibration_curve,
     data_summary,
@@ -148,16 +148,7 @@ def test_errors_have_a_panel_a_group_and_name_the_baselines(tmp_path: Path) -> N
 # ---- data ---------------------------------------------------------------------------------------------
 
 
-@dataclass
-class Recording:
-    name: str
-    t: Array
-    x: Array
-    u: Array
-    segments: tuple[tuple[int, int], ...] = field(default_factory=tuple)
-
-
-def dataset(*runs: Recording, inputs: tuple[str, ...]) -> Any:
+def dataset(*runs: Run, inputs: tuple[str, ...]) -> Any:
     return SimpleNamespace(runs=runs, input_names=inputs)
 
 
@@ -168,7 +159,7 @@ def gaps(figure: Any) -> int:
 def test_flights_show_speed_and_angles_with_their_95_percent_and_maximum(tmp_path: Path) -> None:
     system = SYSTEMS["hexacopter"]
     whole, cut = ((0, 501),), ((0, 200), (200, 501))
-    runs = [Recording(f"flight {k}", *flight(5.0, seed=k), cut if k == 1 else whole) for k in range(3)]
+    runs = [Run(f"flight {k}", *flight(5.0, seed=k), cut if k == 1 else whole) for k in range(3)]
     figure = data_summary(dataset(*runs, inputs=system.input_names), system)  # type: ignore[arg-type]
     assert_sound(figure, tmp_path / "a.png")
     axes = panels(figure)
@@ -190,7 +181,7 @@ def test_other_systems_show_states_inputs_and_a_phase_portrait_a_position(
     rng = np.random.default_rng(0)
     t = 0.02 * np.arange(120)
     drawn = [(rng.normal(size=(120, 4)).cumsum(0), rng.normal(size=(120, 1))) for _ in range(n_runs)]
-    runs = [Recording(f"run {k}", t, x, u, ((0, 50), (60, 120))) for k, (x, u) in enumerate(drawn)]
+    runs = [Run(f"run {k}", t, x, u, ((0, 50), (60, 120))) for k, (x, u) in enumerate(drawn)]
     figure = data_summary(dataset(*runs, inputs=("force",)), system)  # type: ignore[arg-type]
     assert_sound(figure, tmp_path / "a.png")
     labels = [ax.get_ylabel() for ax in panels(figure)]

@@ -50,13 +50,11 @@ def test_damaged_policy_is_refused(tmp_path: Path, fault: str) -> None:
         path.write_bytes(path.read_bytes()[:-40])
     elif fault == "pickle":
         torch.save(tensors, path)
-    elif fault == "format":
-        save_file(tensors, path, metadata={**metadata, "format": "other"})
-    elif fault == "shape":
-        save_file({**tensors, "layers.0.bias": torch.zeros(3)}, path, metadata=metadata)
-    elif fault == "width":
-        save_file(tensors, path, metadata={**metadata, "about": json.dumps({**about, "hidden": "x"})})
+    elif fault in ("format", "width"):
+        wrong = {"format": {"format": "other"}, "width": {"about": json.dumps({**about, "hidden": "x"})}}
+        save_file(tensors, path, metadata=metadata | wrong[fault])
     else:
-        save_file({**tensors, "layers.0.bias": torch.full((8,), torch.nan)}, path, metadata=metadata)
+        bias = torch.zeros(3) if fault == "shape" else torch.full((8,), torch.nan)
+        save_file({**tensors, "layers.0.bias": bias}, path, metadata=metadata)
     with pytest.raises(CheckpointError, match=r"policy\.safetensors"):
         load_policy(tmp_path)

@@ -70,12 +70,6 @@ def test_files_hold_columns_and_nothing_that_tells(tmp_path: Path) -> None:
     np.testing.assert_array_equal(data.runs[0].x, made.runs[0].x)
 
 
-def test_equal_seeds_make_equal_data_and_others_other() -> None:
-    a, b, c = (first(short("cartpole", seed=s)) for s in (1, 1, 2))
-    np.testing.assert_array_equal(a, b)
-    assert not np.array_equal(a, c)
-
-
 def test_a_wind_blows_against_the_drag_that_the_machine_has() -> None:
     system = make_plant_system("hexacopter", effects=[{"constant_wind": {"wind": [2.0, 0.0]}}])
     assert set(system.effect_names) == {"motor_lag", "constant_wind"}

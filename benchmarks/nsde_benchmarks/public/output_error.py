@@ -21,8 +21,8 @@ from torch import Tensor
 from nsde_torch.arrays import Array
 from nsde_torch.errors import DataError, NonFiniteError
 from nsde_torch.sde.integrate import rollout
-from nsde_torch.sde.protocol import Calculus, Time
 from nsde_torch.sde.registry import make_step
+from nsde_torch.sde.step import Calculus, Time
 from nsde_torch.systems.base import System
 from nsde_torch.systems.options import system_options
 from nsde_torch.systems.parameters import ParameterVector

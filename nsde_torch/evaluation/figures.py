@@ -144,12 +144,6 @@ def extrapolate(fitted: float, new: Sequence[float], n_runs: int) -> float:
     return fitted + max(excess, 0.0) * (n_runs - 1) / n_runs
 
 
-@torch.no_grad()
-def widen(model: NeuralSDE, log_factor: float) -> None:
-    """Multiply sigma by a factor."""
-    model.h.log_sigma_max.add_(log_factor)
-
-
 _SHOWN = 3
 _PARTICLES = 128
 

@@ -7,7 +7,7 @@ moved by what flying added to or took from the wanted figures, and all is flown 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import pi
 from typing import Any
@@ -84,21 +84,6 @@ def _smooth(rng: np.random.Generator, n: int, time: float, dt: float) -> Array:
     return np.asarray(rough * np.sqrt(2.0 * np.sqrt(pi) * width))
 
 
-@dataclass(frozen=True)
-class _Mood:
-    """The random part of one run: noises and phases, drawn once and kept while the sizes are found."""
-
-    ramp: Array
-    # x, y: sine, its frequency and the noise of its envelope
-    slow: list[tuple[Array, Array, Array]]
-    quick: list[tuple[Array, Array, Array]]
-    tremor: list[tuple[Array, Array, Array]]
-    active: tuple[Array, ...]  # x, y: how much the quick corrections are at work
-    height: Array
-    yaw: Array
-    turn: Array
-
-
 def _ramp(n: int, dt: float) -> Array:
     """From 0 to 1 and back, smooth to the second derivative, over `TRIM_S` at both ends."""
     trim = min(TRIM_S, 0.35 * n * dt)
@@ -112,22 +97,6 @@ def _wave(rng: np.random.Generator, n: int, hertz: float, dt: float) -> tuple[Ar
     phase = rng.uniform(0.0, 2.0 * pi) + np.cumsum(w) * dt
     # bounded smoothly: a kink would be a jump of the acceleration
     return np.sin(phase), w, 2.5 * np.tanh(_smooth(rng, n, 1.2 / hertz, dt) / 2.5)
-
-
-def _mood(rng: np.random.Generator, n: int, dt: float, *, turns: bool) -> _Mood:
-    slow, quick, tremor = (
-        [_wave(rng, n, hertz, dt) for _ in range(2)] for hertz in (SLOW_HZ, QUICK_HZ, TREMOR_HZ)
-    )
-    active = tuple(0.5 + 0.5 * np.tanh(2.0 * _smooth(rng, n, 1.5, dt) + 1.0) for _ in range(2))
-    height = 0.8 * np.tanh(0.5 * _smooth(rng, n, 0.8, dt))
-    # headings are held for a while: soft rounding to multiples of 2/3 of the standard deviation
-    rough = 1.5 * _smooth(rng, n, 2.0, dt)
-    yaw = (rough - 0.85 / (2.0 * pi) * np.sin(2.0 * pi * rough)) / 1.5
-    t = dt * np.arange(n)
-    at, sign = rng.uniform(0.3, 0.7) * n * dt, rng.choice((-1.0, 1.0))
-    width = min(2.0, 0.06 * n * dt)
-    turn = sign * np.exp(-0.5 * ((t - at) / width) ** 4) if turns else np.zeros(n)
-    return _Mood(_ramp(n, dt), slow, quick, tremor, active, height, yaw, turn)
 
 
 def _uneven(noise: Array, spread: float) -> Array:
@@ -144,24 +113,43 @@ def _twice_integrated(a: Array, dt: float) -> Array:
     return np.asarray(np.fft.irfft(filtered, padded)[: len(a)])
 
 
-def _path(mood: _Mood, sizes: Array, dt: float) -> Path:
-    slow, slow_spread, *by_axis, wander, turn = sizes.tolist()
-    p = np.empty((len(mood.ramp), 3))
-    for k in range(2):
-        sine, w, noise = mood.slow[k]
-        p[:, k] = slow * _uneven(noise, slow_spread) / (w * w) * sine
-        size, spread = by_axis[k], by_axis[2 + k]
-        quick = mood.quick[k][0] * _uneven(mood.quick[k][2], spread) + TREMOR * mood.tremor[k][0]
-        if spread < 0:
-            quick = np.tanh(-3.0 * spread * quick) / np.tanh(-3.0 * spread)
-        p[:, k] += _twice_integrated(size * mood.ramp * mood.active[k] * quick, dt)
-    p[:, :2] *= mood.ramp[:, None]
-    p[:, 2] = LOW + mood.ramp * (HEIGHT - LOW + mood.height)
-    # the wander makes room for the far turn, so that the turn alone sets the largest heading
-    yaw = mood.ramp * wander * mood.yaw * (1.0 - np.abs(mood.turn)) + turn * mood.turn
-    p, yaw = gaussian_filter1d(p, 0.08 / dt, axis=0), gaussian_filter1d(yaw, 0.08 / dt)
-    v = np.gradient(p, dt, axis=0)
-    return Path(p, v, np.gradient(v, dt, axis=0), yaw, np.gradient(yaw, dt))
+def _wish(rng: np.random.Generator, n: int, dt: float, *, turns: bool) -> Callable[[Array], Path]:
+    """What the pilot wants of one run by the sizes (8,); noises and phases are drawn once, while sizes are found."""
+    slow, quick, tremor = (
+        [_wave(rng, n, hertz, dt) for _ in range(2)] for hertz in (SLOW_HZ, QUICK_HZ, TREMOR_HZ)
+    )
+    # x, y: how much the quick corrections are at work
+    active = [0.5 + 0.5 * np.tanh(2.0 * _smooth(rng, n, 1.5, dt) + 1.0) for _ in range(2)]
+    height = 0.8 * np.tanh(0.5 * _smooth(rng, n, 0.8, dt))
+    # headings are held for a while: soft rounding to multiples of 2/3 of the standard deviation
+    rough = 1.5 * _smooth(rng, n, 2.0, dt)
+    heading = (rough - 0.85 / (2.0 * pi) * np.sin(2.0 * pi * rough)) / 1.5
+    t = dt * np.arange(n)
+    at, sign = rng.uniform(0.3, 0.7) * n * dt, rng.choice((-1.0, 1.0))
+    width = min(2.0, 0.06 * n * dt)
+    far = sign * np.exp(-0.5 * ((t - at) / width) ** 4) if turns else np.zeros(n)
+    ramp = _ramp(n, dt)
+
+    def path(sizes: Array) -> Path:
+        size_of_slow, slow_spread, *by_axis, wander, turn = sizes.tolist()
+        p = np.empty((n, 3))
+        for k in range(2):
+            sine, w, noise = slow[k]
+            p[:, k] = size_of_slow * _uneven(noise, slow_spread) / (w * w) * sine
+            size, spread = by_axis[k], by_axis[2 + k]
+            push = quick[k][0] * _uneven(quick[k][2], spread) + TREMOR * tremor[k][0]
+            if spread < 0:
+                push = np.tanh(-3.0 * spread * push) / np.tanh(-3.0 * spread)
+            p[:, k] += _twice_integrated(size * ramp * active[k] * push, dt)
+        p[:, :2] *= ramp[:, None]
+        p[:, 2] = LOW + ramp * (HEIGHT - LOW + height)
+        # the wander makes room for the far turn, so that the turn alone sets the largest heading
+        yaw = ramp * wander * heading * (1.0 - np.abs(far)) + turn * far
+        p, yaw = gaussian_filter1d(p, 0.08 / dt, axis=0), gaussian_filter1d(yaw, 0.08 / dt)
+        v = np.gradient(p, dt, axis=0)
+        return Path(p, v, np.gradient(v, dt, axis=0), yaw, np.gradient(yaw, dt))
+
+    return path
 
 
 def attained(path: Path) -> Array:
@@ -188,16 +176,16 @@ class Pilot:
                 f"`durations` of flights must be one or more times of {SHORTEST_S:g} s or longer; "
                 f"got {list(durations)}."
             )
-        self.dt, self.targets = dt, np.array(TARGETS)
+        self.targets = np.array(TARGETS)
         self.rows = [round(d / dt) + 1 for d in durations]
         rng = np.random.default_rng([seed, 1])
         turning = int(rng.integers(len(durations)))
-        self._moods = [_mood(rng, n, dt, turns=k == turning) for k, n in enumerate(self.rows)]
+        self._wishes = [_wish(rng, n, dt, turns=k == turning) for k, n in enumerate(self.rows)]
         self._rng = rng
 
     def paths(self, sizes: Array) -> list[Path]:
         """What the pilot wants of each run with inputs of these sizes (8,)."""
-        return [_path(mood, sizes, self.dt) for mood in self._moods]
+        return [wish(sizes) for wish in self._wishes]
 
     def rehearse(self, sizes: Array, aim: Array) -> Array:
         """Sizes for which the wanted paths have the figures `aim` (8,), by fixed-point iteration from these.

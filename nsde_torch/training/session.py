@@ -16,7 +16,7 @@ from tqdm.auto import tqdm
 from nsde_torch.data import DataSet, Run, Split, Windows
 from nsde_torch.errors import DataError, NonFiniteError
 from nsde_torch.evaluation import report, seen
-from nsde_torch.evaluation.figures import Coverage, extrapolate, falls_short, widen
+from nsde_torch.evaluation.figures import Coverage, extrapolate, falls_short
 from nsde_torch.evaluation.metrics import START_EVERY, evaluate, horizons_of, start_grid, thinned
 from nsde_torch.evaluation.one_step import one_step_table
 from nsde_torch.evaluation.scores import score
@@ -218,7 +218,8 @@ class Training:
             except (DataError, NonFiniteError) as error:
                 self._say(f"calibration without {runs[k].name!r} left out: {error}")
         total = extrapolate(fitted, new, len(runs))
-        widen(model, total)
+        with torch.no_grad():
+            model.h.log_sigma_max.add_(total)
         factor = math.exp(total)
         self._say(
             f"calibrated: sigma times {factor:.2f} (right on the fitted runs at {math.exp(fitted):.2f}"

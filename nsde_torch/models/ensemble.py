@@ -31,7 +31,6 @@ from nsde_torch.errors import ConfigError
 from nsde_torch.models.model import Capabilities, Model, ModelSpec, normal
 from nsde_torch.models.networks import Standardise, at_zero
 from nsde_torch.models.options import EnsembleOptions
-from nsde_torch.options import check
 from nsde_torch.rotation import matrix, rotation_between, turned
 from nsde_torch.sde.checks import check_finite
 from nsde_torch.systems import System
@@ -132,6 +131,7 @@ class EnsembleSpec(ModelSpec):
     """A Gaussian ensemble."""
 
     kinds = ("ensemble",)
+    options = EnsembleOptions
 
     _: KW_ONLY
     members: int = 5  # number of members
@@ -139,10 +139,6 @@ class EnsembleSpec(ModelSpec):
     propagation: str = "fixed"  # a particle keeps its member; or "redrawn": it draws one at every step
     batch: int = 32  # pairs of states per member and gradient step
     steps: int | None = None  # largest number of gradient steps; None takes ten times those of the trainer
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check(EnsembleOptions, {k: v for k, v in vars(self).items() if k != "kind"}, "model.")
 
 
 class GaussianEnsemble(Model):

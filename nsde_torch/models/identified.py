@@ -17,7 +17,6 @@ from nsde_torch.errors import ConfigError, ShapeError
 from nsde_torch.models.model import Capabilities, Model, ModelSpec
 from nsde_torch.models.networks import InputFilter
 from nsde_torch.models.options import SysidOptions
-from nsde_torch.options import check
 from nsde_torch.sde import Calculus, make_step, rollout
 from nsde_torch.systems.values import Values
 
@@ -29,6 +28,7 @@ class SysidSpec(ModelSpec):
     """Declared physics fitted by least squares."""
 
     kinds = ("sysid",)
+    options = SysidOptions
 
     _: KW_ONLY
     step: str = "rk4"  # name of the integrator, one for equations without noise
@@ -36,10 +36,6 @@ class SysidSpec(ModelSpec):
     method: str = "weak"  # integral form, whitened; or "differences", finite ones of smoothed states
     max_iterations: int = 20  # largest number of least-squares steps
     filter_reach: int = 0  # type: ignore[misc]
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check(SysidOptions, {k: v for k, v in vars(self).items() if k != "kind"}, "model.")
 
 
 @final

@@ -12,6 +12,7 @@ from torch import Tensor, nn
 
 from nsde_torch.errors import ConfigError, NonFiniteError, ShapeError
 from nsde_torch.models.networks import InputFilter
+from nsde_torch.options import check
 from nsde_torch.shown import data_frame, preformatted
 from nsde_torch.systems import System, make_system
 from nsde_torch.systems.base import MEMORY_S
@@ -31,6 +32,7 @@ class ModelSpec:
 
     kinds: ClassVar[tuple[str, ...]] = ()
     """Names of the kinds that have such a specification, the default first; empty for those of the user's own."""
+    options: ClassVar[type | None] = None  # what a user chooses of it, whose ranges hold here too
     filter_reach: ClassVar[int] = 0
     """Taps on each side of the filter that restores smoothed inputs, a field of those that have one; 0 for none."""
 
@@ -50,6 +52,8 @@ class ModelSpec:
             raise ConfigError(
                 f"{type(self).__name__} is of kind {' or '.join(self.kinds) or 'module:Class'}; got {self.kind!r}."
             )
+        if self.options is not None:
+            check(self.options, {k: v for k, v in vars(self).items() if k != "kind"}, "model.")
 
     def as_dict(self) -> dict[str, Any]:
         """Plain containers, for YAML."""

@@ -16,9 +16,8 @@ from nsde_torch.models.neural_sde import NeuralSDE, SDESpec
 from nsde_torch.recording import assemble
 from nsde_torch.systems import make_system
 from nsde_torch.training import TrainerOptions
-from nsde_torch.training.fit_innovations import fit_innovations, identified
+from nsde_torch.training.fit_innovations import fit_innovations
 from nsde_torch.training.task import Fitted
-from tests.helpers.encoders import encoder_runs
 from tests.helpers.loop_contract import task_of
 from tests.inference.springs import TRUTH, B, rubbing, small_runs
 
@@ -152,17 +151,3 @@ def test_where_nothing_is_missing_the_network_is_silent(tmp_path: Path) -> None:
     assert not told["kept"]
     with torch.no_grad():
         assert float(model.residual(torch.randn(20, 2))[Port.FORCE].abs().max()) == 0.0
-
-
-def test_rows_at_a_standstill_teach_no_noise() -> None:
-    effects = ("coulomb_friction",)
-    runs = encoder_runs("sensor", friction=0.8, runs=2, seconds=10.0, gust=0.0)
-    data = assemble(runs, make_system("mass_spring_damper", effects=list(effects)), kind="test")
-    spec = SDESpec(
-        "mass_spring_damper", dt=data.dt, horizon=10, effects=effects, step="heun", learn_lag=False
-    )
-    physics = identified(spec, data.runs, clock=1.0, values={}).settled.regression.physics
-    rows = sum(len(run) for run in data.runs)
-    assert 0.2 * rows < len(physics.steps) < 0.95 * rows
-    slow = np.abs(physics.steps.x0[:, 1].numpy()) < 0.005
-    assert slow.mean() < 0.02

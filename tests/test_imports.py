@@ -68,7 +68,7 @@ def _package(root: Path, path: Path) -> str:
 
 
 def _part(name: str) -> str | None:
-    """`nsde_torch.sde.heun` belongs to `sde`; the package itself belongs to none."""
+    """`nsde_torch.sde.steps` belongs to `sde`; the package itself belongs to none."""
     pieces = name.split(".")
     return pieces[1] if pieces[0] == "nsde_torch" and len(pieces) > 1 else None
 

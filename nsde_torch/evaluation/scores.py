@@ -5,7 +5,7 @@ With e = sample - measured in the system's error channels, over P particles, at 
     prediction   mean of the particles (quaternions: of the aligned and normalised ones)
     interval     quantiles of e at the plotting position p (P + 1): with 199 particles their ends are order
                  statistics, and a calibrated ensemble holds just these shares
-    CRPS         the fair one, see `nsde_torch.training.losses.crps`
+    CRPS         the fair one, see `crps`
     NLL          ln(2 pi v) / 2 + m^2 / (2 v), with m and v the mean and the (unbiased) variance of e: the negative
                  log density of the measurement under a Gaussian of the particles' moments [nat]; not defined (NaN)
                  where v = 0, as for a model without noise

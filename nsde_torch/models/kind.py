@@ -179,7 +179,6 @@ class _Equation(ModelKind):
     model = NeuralSDE
     fitted_by = "nsde_torch.training.fit_sde:fit_sde"
     physics: ClassVar[bool] = True
-    learns_lag: ClassVar[bool] = True
 
     @classmethod
     def make_spec(cls, choice: Choice) -> SDESpec:
@@ -188,9 +187,10 @@ class _Equation(ModelKind):
         innovations = cls.physics and choice.loss == "innovations"
         plain = paper or solver.deterministic
         machine, common = choice.machine, choice.common
-        chosen = {f.name: getattr(choice.options, f.name) for f in fields(choice.options)}
-        learned = (chosen.get("sigma") or ("declared" if paper else "learned")) == "learned"
-        declared = None if learned else tuple(machine.defaults.sigma_max)
+        chosen = vars(choice.options)
+        sigma_max = choice.system.sigma_max
+        if sigma_max is None and (chosen.get("sigma") or ("declared" if paper else "learned")) == "declared":
+            sigma_max = machine.defaults.sigma_max
         widths: dict[str, Any] = {k: tuple(v) for k, v in chosen.items() if k.endswith("_hidden")}
         reach = chosen["filter_reach"]
         if reach is None:
@@ -200,18 +200,17 @@ class _Equation(ModelKind):
             measurement = not plain and (innovations or machine.sensor_noise)
         if disturbance is None:
             disturbance = not plain and bool(machine.disturbed_ports)
-        sigma_max = choice.system.sigma_max
         return SDESpec(
             **common,
             **widths,
             step=cls.step_name(choice),
             solver=choice.integrator.settings,
             physics=cls.physics,
-            sigma_max=declared if sigma_max is None else tuple(sigma_max),
+            sigma_max=None if sigma_max is None else tuple(sigma_max),
             filter_reach=reach,
             measurement=measurement,
             disturbance=cls.physics and disturbance,
-            learn_lag=innovations and cls.learns_lag and chosen["learn_lag"],
+            learn_lag=innovations and chosen["learn_lag"],
             loss=choice.loss,
             feedback=LAGS if innovations and not plain and chosen.get("learn_feedback") else 0,
         )
@@ -248,7 +247,6 @@ class BlackboxKind(_Equation):
     options = BlackboxOptions
     noise = True
     physics = False
-    learns_lag = False
 
 
 @final

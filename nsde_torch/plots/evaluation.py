@@ -382,8 +382,9 @@ def learning_curves(
     Example:
         >>> figure = learning_curves([{"step": 0, "loss": 2.0}, {"step": 1, "loss": 1.0}])
     """
-    terms = [k for k in dict.fromkeys(k for row in history for k in row) if k not in _NOT_TERMS]
-    drawn = [name for name in terms if len(_column(history, name)[0])]
+    terms = dict.fromkeys(k for row in history for k in row if k not in _NOT_TERMS)
+    curves = {name: _column(history, name) for name in terms}
+    drawn = {name: curve for name, curve in curves.items() if len(curve[0])}
     figure, axes = style.panels(1, 2 if drawn else 1, height=3.6, title=title)
     left: Axes = axes[0, 0]
     step, loss = _column(history, "loss")
@@ -397,14 +398,11 @@ def learning_curves(
         kept = int(step[score.argmin()]) if kept is None else kept
     _scale(left, [loss, score])
     left.set_ylabel("loss [–]")
-    sizes = []
-    for k, name in enumerate(drawn):
-        step, value = _column(history, name)
+    for k, (name, (step, value)) in enumerate(drawn.items()):
         look = {"color": style.COLOURS[k % 6], "linestyle": style.DASHES[k % 6]}
         axes[0, 1].plot(step, _smooth(value), label=name, **look)
-        sizes.append(value[value != 0])
     if drawn:
-        _scale(axes[0, 1], sizes)
+        _scale(axes[0, 1], [value[value != 0] for _, value in drawn.values()])
         axes[0, 1].set_ylabel("term of the loss [–]")
     for ax in axes.flat:
         if kept is not None:

@@ -14,7 +14,6 @@ from nsde_torch.effects import Effect, Parameter, Port
 class Detent(Effect):
     """A force that repeats along the rail; for systems whose first states are a position and its velocity."""
 
-    name = "detent"
     port = Port.RATE
     formula = "-a sin(2 pi p / b)"
     source = "teeth of a linear motor"

@@ -4,7 +4,6 @@ An effect of your own is a class in a file of yours, named `module:Class` wherev
 (`system.effects=[my_effects:Cogging]`, `plant.effects=[...]`):
 
     class Cogging(Law):
-        name = "cogging"
         reads_position = True
         formula = "-c sin(2 pi q / p)"
         source = "teeth of a linear motor"
@@ -25,7 +24,7 @@ grid `shapes`, and `amplitudes` are what is nothing without it.
 
 from typing import TYPE_CHECKING
 
-from nsde_torch.lazy import resolver
+from nsde_torch.lazy import names, resolver
 
 if TYPE_CHECKING:
     from nsde_torch.effects.base import Effect, Parameter, Parametrised, Port
@@ -41,20 +40,6 @@ if TYPE_CHECKING:
         register,
     )
 
-__all__ = [
-    "EFFECTS",
-    "Coordinate",
-    "Effect",
-    "Law",
-    "Parameter",
-    "Parametrised",
-    "Port",
-    "canonical_name",
-    "effect_class",
-    "effects_of",
-    "key_of",
-    "make_effect",
-    "register",
-]
+__all__ = names(__name__)
 
 __getattr__ = resolver(__name__)

@@ -1,13 +1,13 @@
 """What lies between a command and the force that it makes.
 
-(Tao, Kokotovic, "Adaptive Control of Systems with Actuator and Sensor Nonlinearities", 1996, for dead band and
-saturation.)
+(Tao, Kokotovic, "Adaptive Control of Systems with Actuator and Sensor Nonlinearities", 1996, for dead band,
+saturation and play.)
 """
 
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from math import exp, floor, pi
-from typing import final
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -15,216 +15,42 @@ from torch import Tensor
 from nsde_torch.effects.base import Effect, Parameter, Port, elapsed
 
 BOOK = "Tao, Kokotovic, Adaptive Control of Systems with Actuator and Sensor Nonlinearities (1996)"
+FLYING = ("hexacopter", "quadrotor")
 NONE = 1e6
 """A level of saturation that no command reaches."""
+_QUICK_S = 0.002  # in which play is taken up where no step is known [s]
 
 
-@final
-class ActuatorDeadband(Effect):
-    """Commands near zero do nothing, and larger ones lose as much."""
+class InputMemory(Effect):
+    """An effect on the inputs with states of each, the first of which follows it and begins there, the others at 0."""
 
-    name = "actuator_deadband"
-    around_zero = True
-    each_input = True
+    port = Port.INPUT
+    states: ClassVar[int] = 1  # of each input
+
+    @property
+    def n_memory(self) -> int:
+        return self.states * self.n_inputs
+
+    def own(self, u: Tensor) -> Tensor:
+        """The inputs (N, n_inputs), from `u` of `forward`."""
+        return u[:, : self.n_inputs]
+
+    def memory_start(self, x: Tensor, u: Tensor) -> Tensor:
+        own = self.own(u)
+        return own if self.states == 1 else torch.cat((own, torch.zeros_like(own)), 1)
+
+
+class _Cut(Effect):
+    """Commands within two ends and beyond are treated unlike; a number for both ends, or one for each."""
+
     port = Port.INPUT
     stage = 1
-    formula = "u_eff = u - clip(u, -w, w)"
     source = BOOK
-    PARAMETERS = {
-        "width": Parameter(0.1, "input", low=0.0, scale=0.1, help="smallest command that does something")
-    }
-    null = {"width": 0.0}
-    shapes = {"width": (0.05, 0.15, 0.4)}
-    relative = {"width": "input"}
-    sentence = "Commands below {width} do nothing, and larger ones lose as much."
-    separate = "give slow small inputs through zero, and large ones"
 
-    @classmethod
-    def no_candidate(cls, system: str) -> str:
-        flies = system in ("hexacopter", "quadrotor")
-        return (
-            "motors in flight are far above it, and what they lose is an offset of the thrust"
-            if flies
-            else ""
-        )
-
-    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        width = self.value("width")
-        return -torch.minimum(torch.maximum(u, -width), width)
-
-
-@final
-class AsymmetricDeadband(Effect):
-    """Commands near zero do nothing, over another width on each side of zero."""
-
-    name = "asymmetric_deadband"
-    around_zero = True
-    port = Port.INPUT
-    stage = 1
-    excludes = (Port.BODY_MOMENT,)  # motors in flight are far above it
-    formula = "u_eff = u - clip(u, -w-, w+)"
-    source = BOOK
-    PARAMETERS = {
-        "width_forward": Parameter(
-            0.1, "input", low=0.0, scale=0.1, help="smallest positive command that does something"
-        ),
-        "width_backward": Parameter(
-            0.1, "input", low=0.0, scale=0.1, help="smallest negative command that does something, positive"
-        ),
-    }
-    null = {"width_forward": 0.0, "width_backward": 0.0}
-    shapes = {"width_forward": (0.05, 0.2), "width_backward": (0.05, 0.2)}
-    relative = {"width_forward": "input", "width_backward": "input"}
-    includes = ("actuator_deadband",)
-    same = {"width_forward": "width", "width_backward": "width"}
-    sentence = (
-        "Commands between -{width_backward} and {width_forward} do nothing, and larger ones lose as much."
-    )
-    separate = "give slow small inputs through zero, and large ones of both signs"
-
-    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        forward, backward = self.value("width_forward"), self.value("width_backward")
-        return -torch.minimum(torch.maximum(u, -backward), forward)
-
-
-@final
-class ActuatorSaturation(Effect):
-    """Commands beyond a level are cut."""
-
-    name = "actuator_saturation"
-    each_input = True
-    port = Port.INPUT
-    stage = 1
-    formula = "u_eff = clip(u, -level, level)"
-    source = BOOK
-    PARAMETERS = {
-        "level": Parameter(0.5, "input", low=0.0, scale=0.5, help="largest command that acts in full")
-    }
-    null = {"level": NONE}
-    shapes = {"level": (0.5, 0.75, 0.95, 1.15)}  # above the quantile commands are rare, not absent
-    relative = {"level": "input"}
-    sentence = "Commands beyond {level} are cut to it."
-    separate = "give inputs of several amplitudes, the largest far beyond the usual ones"
-
-    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        level = self.value("level")
-        return torch.minimum(torch.maximum(u, -level), level) - u
-
-
-@final
-class AsymmetricSaturation(Effect):
-    """Commands beyond a level are cut, at another level for each sign."""
-
-    name = "asymmetric_saturation"
-    port = Port.INPUT
-    stage = 1
-    excludes = (Port.BODY_MOMENT,)  # commands of motors have one sign
-    formula = "u_eff = clip(u, -level-, level+)"
-    source = BOOK
-    PARAMETERS = {
-        "level_forward": Parameter(
-            0.5, "input", low=0.0, scale=0.5, help="largest positive command that acts in full"
-        ),
-        "level_backward": Parameter(
-            0.5, "input", low=0.0, scale=0.5, help="largest negative command that acts in full, positive"
-        ),
-    }
-    null = {"level_forward": NONE, "level_backward": NONE}
-    shapes = {"level_forward": (0.5, 0.9), "level_backward": (0.5, 0.9)}
-    relative = {"level_forward": "input", "level_backward": "input"}
-    includes = ("actuator_saturation",)
-    same = {"level_forward": "level", "level_backward": "level"}
-    sentence = "Commands above {level_forward} or below -{level_backward} are cut."
-    separate = "give inputs of several amplitudes and both signs, the largest far beyond the usual ones"
-
-    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        forward, backward = self.value("level_forward"), self.value("level_backward")
-        return torch.minimum(torch.maximum(u, -backward), forward) - u
-
-
-@final
-class AsymmetricGain(Effect):
-    """An input that acts more strongly in one direction than in the other."""
-
-    name = "asymmetric_gain"
-    both_signs = True
-    each_input = True
-    port = Port.INPUT
-    stage = 1
-    excludes = (Port.BODY_MOMENT,)  # commands of motors have one sign
-    formula = "u_eff = u + a |u|"
-    source = "the even part of a gain that depends on the sign of its input"
-    PARAMETERS = {
-        "asymmetry": Parameter(
-            0.0, "1", low=-0.9, high=0.9, scale=0.1, help="half the difference of the gains of both signs"
-        )
-    }
-    amplitudes = ("asymmetry",)
-    sentence = "Positive commands act 1 + {asymmetry} times, negative ones 1 - {asymmetry} times."
-    separate = "give inputs of both signs and of several sizes, at rest in between"
-
-    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        return self.value("asymmetry") * u.abs()
-
-
-@final
-class ActuatorGainDrift(Effect):
-    """The strength of the actuator changes with time."""
-
-    name = "actuator_gain_drift"
-    each_input = True
-    drifts = True
-    port = Port.INPUT
-    formula = "u_eff = u (1 + r t)"
-    source = "warming or wear of an actuator, first order in time"
-    PARAMETERS = {"rate": Parameter(0.0, "1/s", scale=0.01, help="relative change of strength per second")}
-    amplitudes = ("rate",)
-    sentence = "The actuator's strength changes by {rate}, counted from the start of the clock."
-    separate = "repeat the same inputs early and late in a long run"
-
-    @classmethod
-    def no_candidate(cls, system: str) -> str:
-        return "thrust_sag is the same term" if system in ("hexacopter", "quadrotor") else ""
-
-    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        return (self.value("rate") * elapsed(t, x)).to(u.dtype) * u
-
-
-class _EfficiencyLoss(Effect):
-    """Single inputs give less than the others."""
-
-    port = Port.INPUT
-    formula = "u_eff,i = u_i (1 - l_i)"
-    source = "actuator effectiveness factor; Zhang, Jiang, Annual Reviews in Control 32 (2008)"
-    PARAMETERS = {
-        "loss": Parameter(
-            1e-3, "1", low=-0.3, high=1.0, scale=0.1, help="share lost, one per input", per_input=True
-        )
-    }
-    amplitudes = ("loss",)
-
-    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        return -self.value("loss") * u
-
-
-@final
-class MotorEfficiencyLoss(_EfficiencyLoss):
-    """Single motors give less than the others: a chipped propeller, a worn bearing."""
-
-    name = "motor_efficiency_loss"
-    needs = (Port.BODY_MOMENT,)
-    sentence = "Motors have lost {loss} of their strength (one number per motor, in their order)."
-    separate = "climb, sink and yaw: a weak motor shows in the moments about all axes at once"
-
-
-@final
-class ActuatorEfficiencyLoss(_EfficiencyLoss):
-    """Single actuators give less than the others: a worn propeller, a slipping wheel, a weak motor of an arm."""
-
-    name = "actuator_efficiency_loss"
-    excludes = (Port.BODY_MOMENT,)  # there it is motor_efficiency_loss
-    sentence = "Actuators have lost {loss} of their strength (one number per input, in their order)."
-    separate = "drive each input by itself, and all of them together"
+    def cut(self, u: Tensor) -> Tensor:
+        """Commands cut to the ends."""
+        ends = [self.value(name) for name in self.PARAMETERS]
+        return torch.minimum(torch.maximum(u, -ends[-1]), ends[0])
 
 
 # A pure delay of the inputs, as a rational approximation with two states a, b per input.
@@ -250,13 +76,11 @@ class ActuatorEfficiencyLoss(_EfficiencyLoss):
 #     da = (c - 1 + 2 s) (a - u) + s b,   db = -6 s (a - u) + (c - 1 - 2 s) b,   mean = u - (da + db / 6) / q
 
 
-@final
-class InputDelay(Effect):
+class InputDelay(InputMemory):
     """The inputs act some time after they were logged."""
 
-    name = "input_delay"
     each_input = True
-    port = Port.INPUT
+    states = 2
     stage = 0
     whole_steps = True
     formula = "u_eff(t) = u(t - T), by a rational approximation"
@@ -269,13 +93,8 @@ class InputDelay(Effect):
     sentence = "The inputs act {delay} after the log says so."
     separate = "give steps of the input: a lag rounds their corner, a delay moves it"
 
-    @property
-    def n_memory(self) -> int:
-        """Two states per input."""
-        return 2 * self.n_inputs
-
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        a, b = memory[:, : self.n_inputs] - u[:, : self.n_inputs], memory[:, self.n_inputs :]
+        a, b = memory[:, : self.n_inputs] - self.own(u), memory[:, self.n_inputs :]
         if not self.step:
             return a - b / 3.0
         steps = self.value("delay") / self.step
@@ -284,7 +103,7 @@ class InputDelay(Effect):
         return torch.where(steps < 2.0, shifted, -steps * (da + db / 6.0))
 
     def memory_rate(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        a, b = memory[:, : self.n_inputs] - u[:, : self.n_inputs], memory[:, self.n_inputs :]
+        a, b = memory[:, : self.n_inputs] - self.own(u), memory[:, self.n_inputs :]
         delay = self.value("delay")
         if not self.step:
             return torch.cat((b, -6.0 * a - 4.0 * b), 1) / delay
@@ -300,10 +119,6 @@ class InputDelay(Effect):
         now, before = u[rows.clamp_min(0), : self.n_inputs], u[(rows - 1).clamp_min(0), : self.n_inputs]
         arriving = now + (steps - whole) * (before - now)
         return torch.cat((arriving, torch.zeros_like(arriving)), 1)
-
-    def memory_start(self, x: Tensor, u: Tensor) -> Tensor:
-        own = u[:, : self.n_inputs]
-        return torch.cat((own, torch.zeros_like(own)), 1)
 
 
 def _beyond(steps: Tensor) -> Tensor:
@@ -330,28 +145,22 @@ def _solved(steps: Tensor, a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
 # m' = m + (u - m) (1 - e),   mean = u + (m - u) (1 - e) tau / h,   e = exp(-h / tau)
 
 
-class _AnyLag(Effect):
+class _AnyLag(InputMemory):
     """A first-order lag on every input, whose time constant may depend on where the input is from the memory."""
 
-    port = Port.INPUT
     stage = 2
     whole_steps = True
     separate = "give steps of the input: a lag rounds their corner, a delay moves it"
 
-    @property
-    def n_memory(self) -> int:
-        """One state per input."""
-        return self.n_inputs
-
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        late = memory - u[:, : self.n_inputs]
+        late = memory - self.own(u)
         if not self.step:
             return late
         time_constant = self._time_constant(-late)
         return late * self._goes(time_constant) * (time_constant / self.step)
 
     def memory_rate(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        late = u[:, : self.n_inputs] - memory
+        late = self.own(u) - memory
         time_constant = self._time_constant(late)
         return late * (self._goes(time_constant) / self.step) if self.step else late / time_constant
 
@@ -363,11 +172,8 @@ class _AnyLag(Effect):
         """Share of the remaining difference that a step closes."""
         return -torch.expm1(-self.step / time_constant)
 
-    def memory_start(self, x: Tensor, u: Tensor) -> Tensor:
-        return u[:, : self.n_inputs]
 
-
-class _Lag(_AnyLag):
+class Lag(_AnyLag):
     """A first-order lag on every input."""
 
     formula = "u_eff = m, dm/dt = (u - m) / tau"
@@ -382,7 +188,7 @@ class _Lag(_AnyLag):
     def held(self, u: Tensor, dt: float) -> Tensor:
         from scipy.signal import lfilter  # half a second to import, and only identification needs it
 
-        own = u[:, : self.n_inputs]
+        own = self.own(u)
         ratio = float(self.value("time_constant")) / dt
         stays = exp(-1.0 / ratio)
         above = (own - own[:1]).numpy()  # it starts at rest at the first input
@@ -390,19 +196,9 @@ class _Lag(_AnyLag):
         return own + (memory - own) * ((1.0 - stays) * ratio)
 
 
-class MotorLag(_Lag):
-    """Motors follow their command with a first-order lag; each carries one state."""
-
-    name = "motor_lag"
-    source = "first-order motor and ESC dynamics"
-    needs = (Port.BODY_MOMENT,)
-    sentence = "The motors follow their commands late, with a time constant of {time_constant}."
-
-
-class ActuatorLag(_Lag):
+class ActuatorLag(Lag):
     """The actuator follows its command with a first-order lag; each input carries one state."""
 
-    name = "actuator_lag"
     each_input = True
     source = (
         "first-order actuator dynamics; Franklin, Powell, Emami-Naeini, Feedback Control of Dynamic Systems"
@@ -414,131 +210,12 @@ class ActuatorLag(_Lag):
     )
 
 
-@final
-class ActuatorResonance(Effect):
-    """Second-order dynamics between a command and what acts: a servo, a motor behind a shaft or a rope that gives.
-
-    The rope of a lift that gives at 2.3 Hz was `unexplained` after ten minutes.
-    """
-
-    name = "actuator_resonance"
-    each_input = True
-    port = Port.INPUT
-    stage = 2
-    formula = "u_eff = m, m'' = w^2 (u - m) - 2 d w m', w = 2 pi / period"
-    source = (
-        "second-order actuator dynamics; Franklin, Powell, Emami-Naeini, Feedback Control of Dynamic Systems"
-    )
-    excludes = (Port.BODY_MOMENT,)  # motors follow by a lag
-    # it may move as a recording begins: of a servo at 1.5 Hz a hidden mass did what that did
-    estimated = True
-    PARAMETERS = {
-        "period": Parameter(0.2, "s", low=0.002, scale=0.1, help="natural, without damping"),
-        "damping": Parameter(0.5, "1", low=0.005, high=1.0, scale=0.1, help="share of the critical one"),
-    }
-    null = {"period": 0.0}
-    shapes = {"period": (8.0, 20.0, 60.0, 150.0), "damping": (0.1, 0.7)}
-    relative = {"period": "step"}
-    fitted_from = tuple({"period": 2.5 / 2.0 ** (0.5 * k)} for k in range(9))
-    resolved = {"period": 3.0}  # Runge-Kutta 4 is stable up to 2.25 steps, at the critical damping
-    sentence = (
-        "The actuator follows its command as an oscillator does, with a natural period of {period} and {damping} of "
-        "the critical damping."
-    )
-    separate = (
-        "give steps of the input: what follows swings about the new value, a lag nears it from one side"
-    )
-
-    @property
-    def n_memory(self) -> int:
-        """What follows each input, and its rate over w."""
-        return 2 * self.n_inputs
-
-    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        return memory[:, : self.n_inputs] - u[:, : self.n_inputs]
-
-    def memory_rate(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        follows, rate = memory[:, : self.n_inputs], memory[:, self.n_inputs :]
-        w = 2.0 * pi / self.value("period")
-        pulled = u[:, : self.n_inputs] - follows - 2.0 * self.value("damping") * rate
-        return torch.cat((w * rate, w * pulled), 1)
-
-    def held(self, u: Tensor, dt: float) -> Tensor:
-        import numpy as np
-        from scipy.linalg import expm
-
-        from nsde_torch.effects.recursions import second_order
-
-        w, damping = 2.0 * pi / float(self.value("period")), float(self.value("damping"))
-        own = u[:, : self.n_inputs].double().numpy()
-        rates = np.zeros((4, 4))  # of what follows, its rate over w, the command and its slope
-        rates[:2, :3] = [[0.0, w, 0.0], [-w, -2.0 * damping * w, w]]
-        start, still = np.stack((own[0], np.zeros_like(own[0]))), np.zeros_like(own)
-        return torch.from_numpy(second_order(expm(rates * dt)[:2], start, own, still)).to(u.dtype)
-
-    def memory_start(self, x: Tensor, u: Tensor) -> Tensor:
-        own = u[:, : self.n_inputs]
-        return torch.cat((own, torch.zeros_like(own)), 1)
-
-
-@final
-class ActuatorRateLimit(_AnyLag):
-    """An actuator that follows its command at a limited rate; each input carries one state.
-
-    A drive of 25 N/s on a spring was a lag of 0.137 s, surely (docs/content/results/diagnosis.md).
-    """
-
-    name = "actuator_rate_limit"
-    each_input = True
-    formula = "u_eff = m, dm/dt = rate sign(u - m)"
-    source = BOOK
-    # it stops where it meets the command; at an instant, without a step, it nears it with a time constant of 10 ms
-    jumps = True
-    excludes = (Port.BODY_MOMENT,)  # motors follow by a lag
-    PARAMETERS = {
-        "rate": Parameter(10.0, "input/s", low=0.0, scale=1.0, help="fastest change that is followed")
-    }
-    null = {"rate": NONE}
-    shapes = {"rate": (1.0, 3.0, 10.0, 30.0)}
-    relative = {"rate": "input"}
-    sentence = "The actuator changes by {rate} at most, whatever is commanded."
-    separate = (
-        "give steps of the input, small and large: a lag takes as long for both, a limited rate does not"
-    )
-
-    def _time_constant(self, late: Tensor) -> Tensor:
-        return (late.abs() / self.value("rate")).clamp_min(0.01)
-
-    def _mean(self, late: Tensor, step: float) -> Tensor:
-        """Mean over a step of how far memory is behind an input that it is so far behind at the start."""
-        steps = late.abs() / (self.value("rate") * step)  # that it takes to be there
-        return late * torch.where(steps > 1.0, 1.0 - 0.5 / steps.clamp_min(1.0), 0.5 * steps)
-
-    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        late = u[:, : self.n_inputs] - memory
-        return -self._mean(late, self.step) if self.step else -late
-
-    def memory_rate(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        late = u[:, : self.n_inputs] - memory
-        if not self.step:
-            return late / self._time_constant(late)
-        return late.clamp(-self.value("rate") * self.step, self.value("rate") * self.step) / self.step
-
-    def held(self, u: Tensor, dt: float) -> Tensor:
-        from nsde_torch.effects.recursions import rate_limited
-
-        own = u[:, : self.n_inputs]
-        memory = rate_limited(own.double().contiguous().numpy(), float(self.value("rate")) * dt)
-        return own - self._mean(own - torch.from_numpy(memory).to(own), dt)
-
-
 class AsymmetricLag(_AnyLag):
     """Actuators that follow a command upwards faster or slower than one downwards; each input carries one state.
 
     Propellers are sped up by a motor and slow down by their drag.
     """
 
-    name = "asymmetric_lag"
     each_input = True
     formula = "u_eff = m, dm/dt = (u - m) / (tau_rising if u > m else tau_falling)"
     source = "time constants up and down of motors in simulators (Furrer et al., RotorS, 2016)"
@@ -569,9 +246,312 @@ class AsymmetricLag(_AnyLag):
     def held(self, u: Tensor, dt: float) -> Tensor:
         from nsde_torch.effects.recursions import two_lags
 
-        own = u[:, : self.n_inputs]
+        own = self.own(u)
         ratios = [float(self.value(name)) / dt for name in ("rising", "falling")]
         stays = [exp(-1.0 / ratio) for ratio in ratios]
         late = own - torch.from_numpy(two_lags(own.double().contiguous().numpy(), *stays)).to(own)
         rising, falling = ((1.0 - stay) * ratio for stay, ratio in zip(stays, ratios, strict=True))
         return own - late * torch.where(late > 0, rising, falling)
+
+
+class ActuatorRateLimit(_AnyLag):
+    """An actuator that follows its command at a limited rate; each input carries one state.
+
+    A drive of 25 N/s on a spring was a lag of 0.137 s, surely (docs/content/results/diagnosis.md).
+    """
+
+    each_input = True
+    formula = "u_eff = m, dm/dt = rate sign(u - m)"
+    source = BOOK
+    # it stops where it meets the command; at an instant, without a step, it nears it with a time constant of 10 ms
+    jumps = True
+    excludes = (Port.BODY_MOMENT,)  # motors follow by a lag
+    PARAMETERS = {
+        "rate": Parameter(10.0, "input/s", low=0.0, scale=1.0, help="fastest change that is followed")
+    }
+    null = {"rate": NONE}
+    shapes = {"rate": (1.0, 3.0, 10.0, 30.0)}
+    relative = {"rate": "input"}
+    sentence = "The actuator changes by {rate} at most, whatever is commanded."
+    separate = (
+        "give steps of the input, small and large: a lag takes as long for both, a limited rate does not"
+    )
+
+    def _time_constant(self, late: Tensor) -> Tensor:
+        return (late.abs() / self.value("rate")).clamp_min(0.01)
+
+    def _mean(self, late: Tensor, step: float) -> Tensor:
+        """Mean over a step of how far memory is behind an input that it is so far behind at the start."""
+        steps = late.abs() / (self.value("rate") * step)  # that it takes to be there
+        return late * torch.where(steps > 1.0, 1.0 - 0.5 / steps.clamp_min(1.0), 0.5 * steps)
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        late = self.own(u) - memory
+        return -self._mean(late, self.step) if self.step else -late
+
+    def memory_rate(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        late = self.own(u) - memory
+        if not self.step:
+            return late / self._time_constant(late)
+        return late.clamp(-self.value("rate") * self.step, self.value("rate") * self.step) / self.step
+
+    def held(self, u: Tensor, dt: float) -> Tensor:
+        from nsde_torch.effects.recursions import rate_limited
+
+        own = self.own(u)
+        memory = rate_limited(own.double().contiguous().numpy(), float(self.value("rate")) * dt)
+        return own - self._mean(own - torch.from_numpy(memory).to(own), dt)
+
+
+class ActuatorResonance(InputMemory):
+    """Second-order dynamics between a command and what acts: a servo, a motor behind a shaft or a rope that gives.
+
+    The rope of a lift that gives at 2.3 Hz was `unexplained` after ten minutes.
+    """
+
+    each_input = True
+    states = 2
+    stage = 2
+    formula = "u_eff = m, m'' = w^2 (u - m) - 2 d w m', w = 2 pi / period"
+    source = (
+        "second-order actuator dynamics; Franklin, Powell, Emami-Naeini, Feedback Control of Dynamic Systems"
+    )
+    excludes = (Port.BODY_MOMENT,)  # motors follow by a lag
+    # it may move as a recording begins: of a servo at 1.5 Hz a hidden mass did what that did
+    estimated = True
+    PARAMETERS = {
+        "period": Parameter(0.2, "s", low=0.002, scale=0.1, help="natural, without damping"),
+        "damping": Parameter(0.5, "1", low=0.005, high=1.0, scale=0.1, help="share of the critical one"),
+    }
+    null = {"period": 0.0}
+    shapes = {"period": (8.0, 20.0, 60.0, 150.0), "damping": (0.1, 0.7)}
+    relative = {"period": "step"}
+    fitted_from = tuple({"period": 2.5 / 2.0 ** (0.5 * k)} for k in range(9))
+    resolved = {"period": 3.0}  # Runge-Kutta 4 is stable up to 2.25 steps, at the critical damping
+    sentence = (
+        "The actuator follows its command as an oscillator does, with a natural period of {period} and {damping} of "
+        "the critical damping."
+    )
+    separate = (
+        "give steps of the input: what follows swings about the new value, a lag nears it from one side"
+    )
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        return memory[:, : self.n_inputs] - self.own(u)
+
+    def memory_rate(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        follows, rate = memory[:, : self.n_inputs], memory[:, self.n_inputs :]
+        w = 2.0 * pi / self.value("period")
+        pulled = self.own(u) - follows - 2.0 * self.value("damping") * rate
+        return torch.cat((w * rate, w * pulled), 1)
+
+    def held(self, u: Tensor, dt: float) -> Tensor:
+        import numpy as np
+        from scipy.linalg import expm
+
+        from nsde_torch.effects.recursions import second_order
+
+        w, damping = 2.0 * pi / float(self.value("period")), float(self.value("damping"))
+        own = self.own(u).double().numpy()
+        rates = np.zeros((4, 4))  # of what follows, its rate over w, the command and its slope
+        rates[:2, :3] = [[0.0, w, 0.0], [-w, -2.0 * damping * w, w]]
+        start, still = np.stack((own[0], np.zeros_like(own[0]))), np.zeros_like(own)
+        return torch.from_numpy(second_order(expm(rates * dt)[:2], start, own, still)).to(u.dtype)
+
+
+class ActuatorDeadband(_Cut):
+    """Commands near zero do nothing, and larger ones lose as much."""
+
+    around_zero = True
+    each_input = True
+    formula = "u_eff = u - clip(u, -w, w)"
+    PARAMETERS = {
+        "width": Parameter(0.1, "input", low=0.0, scale=0.1, help="smallest command that does something")
+    }
+    null = {"width": 0.0}
+    shapes = {"width": (0.05, 0.15, 0.4)}
+    relative = {"width": "input"}
+    sentence = "Commands below {width} do nothing, and larger ones lose as much."
+    not_of = dict.fromkeys(
+        FLYING, "motors in flight are far above it, and what they lose is an offset of the thrust"
+    )
+    separate = "give slow small inputs through zero, and large ones"
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        return -self.cut(u)
+
+
+class AsymmetricDeadband(_Cut):
+    """Commands near zero do nothing, over another width on each side of zero."""
+
+    around_zero = True
+    excludes = (Port.BODY_MOMENT,)  # motors in flight are far above it
+    formula = "u_eff = u - clip(u, -w-, w+)"
+    PARAMETERS = {
+        "width_forward": Parameter(
+            0.1, "input", low=0.0, scale=0.1, help="smallest positive command that does something"
+        ),
+        "width_backward": Parameter(
+            0.1, "input", low=0.0, scale=0.1, help="smallest negative command that does something, positive"
+        ),
+    }
+    null = {"width_forward": 0.0, "width_backward": 0.0}
+    shapes = {"width_forward": (0.05, 0.2), "width_backward": (0.05, 0.2)}
+    relative = {"width_forward": "input", "width_backward": "input"}
+    includes = ("actuator_deadband",)
+    same = {"width_forward": "width", "width_backward": "width"}
+    sentence = (
+        "Commands between -{width_backward} and {width_forward} do nothing, and larger ones lose as much."
+    )
+    separate = "give slow small inputs through zero, and large ones of both signs"
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        return -self.cut(u)
+
+
+class AsymmetricGain(Effect):
+    """An input that acts more strongly in one direction than in the other."""
+
+    both_signs = True
+    each_input = True
+    port = Port.INPUT
+    stage = 1
+    excludes = (Port.BODY_MOMENT,)  # commands of motors have one sign
+    formula = "u_eff = u + a |u|"
+    source = "the even part of a gain that depends on the sign of its input"
+    PARAMETERS = {
+        "asymmetry": Parameter(
+            0.0, "1", low=-0.9, high=0.9, scale=0.1, help="half the difference of the gains of both signs"
+        )
+    }
+    amplitudes = ("asymmetry",)
+    sentence = "Positive commands act 1 + {asymmetry} times, negative ones 1 - {asymmetry} times."
+    separate = "give inputs of both signs and of several sizes, at rest in between"
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        return self.value("asymmetry") * u.abs()
+
+
+class ActuatorSaturation(_Cut):
+    """Commands beyond a level are cut."""
+
+    each_input = True
+    formula = "u_eff = clip(u, -level, level)"
+    PARAMETERS = {
+        "level": Parameter(0.5, "input", low=0.0, scale=0.5, help="largest command that acts in full")
+    }
+    null = {"level": NONE}
+    shapes = {"level": (0.5, 0.75, 0.95, 1.15)}  # above the quantile commands are rare, not absent
+    relative = {"level": "input"}
+    sentence = "Commands beyond {level} are cut to it."
+    separate = "give inputs of several amplitudes, the largest far beyond the usual ones"
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        return self.cut(u) - u
+
+
+class AsymmetricSaturation(_Cut):
+    """Commands beyond a level are cut, at another level for each sign."""
+
+    excludes = (Port.BODY_MOMENT,)  # commands of motors have one sign
+    formula = "u_eff = clip(u, -level-, level+)"
+    PARAMETERS = {
+        "level_forward": Parameter(
+            0.5, "input", low=0.0, scale=0.5, help="largest positive command that acts in full"
+        ),
+        "level_backward": Parameter(
+            0.5, "input", low=0.0, scale=0.5, help="largest negative command that acts in full, positive"
+        ),
+    }
+    null = {"level_forward": NONE, "level_backward": NONE}
+    shapes = {"level_forward": (0.5, 0.9), "level_backward": (0.5, 0.9)}
+    relative = {"level_forward": "input", "level_backward": "input"}
+    includes = ("actuator_saturation",)
+    same = {"level_forward": "level", "level_backward": "level"}
+    sentence = "Commands above {level_forward} or below -{level_backward} are cut."
+    separate = "give inputs of several amplitudes and both signs, the largest far beyond the usual ones"
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        return self.cut(u) - u
+
+
+class InputPlay(InputMemory):
+    """Play (backlash) between an input and what it moves: after a turn nothing moves until the gap is taken up."""
+
+    each_input = True
+    stage = 1
+    whole_steps = True
+    jumps = True
+    excludes = (Port.BODY_MOMENT,)  # rotors have none
+    formula = "u_eff = m, |u - m| <= w"
+    source = BOOK
+    PARAMETERS = {"half_gap": Parameter(0.1, "input", low=0.0, scale=0.1, help="half the play")}
+    null = {"half_gap": 0.0}
+    shapes = {"half_gap": (0.05, 0.2, 0.5)}
+    relative = {"half_gap": "input"}
+    sentence = (
+        "Between the input and what it moves there is play: it remembers the way it came, and after a turn nothing "
+        "moves until the input has gone back by twice {half_gap}."
+    )
+    separate = (
+        "give slow triangles of the input, small and large: a delay shifts them in time, play cuts their tops"
+    )
+
+    def _taken_up(self, u: Tensor, memory: Tensor) -> Tensor:
+        own, gap = self.own(u), self.value("half_gap")
+        return torch.minimum(torch.maximum(memory, own - gap), own + gap)
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        return self._taken_up(u, memory) - self.own(u)
+
+    def memory_rate(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        return (self._taken_up(u, memory) - memory) / (self.step or _QUICK_S)
+
+    def held(self, u: Tensor, dt: float) -> Tensor:
+        from nsde_torch.effects.recursions import play
+
+        own = self.own(u)
+        return torch.from_numpy(play(own.double().numpy(), float(self.value("half_gap").detach()))).to(own)
+
+
+class EfficiencyLoss(Effect):
+    """Single inputs give less than the others."""
+
+    port = Port.INPUT
+    formula = "u_eff,i = u_i (1 - l_i)"
+    source = "actuator effectiveness factor; Zhang, Jiang, Annual Reviews in Control 32 (2008)"
+    PARAMETERS = {
+        "loss": Parameter(
+            1e-3, "1", low=-0.3, high=1.0, scale=0.1, help="share lost, one per input", per_input=True
+        )
+    }
+    amplitudes = ("loss",)
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        return -self.value("loss") * u
+
+
+class ActuatorEfficiencyLoss(EfficiencyLoss):
+    """Single actuators give less than the others: a worn propeller, a slipping wheel, a weak motor of an arm."""
+
+    excludes = (Port.BODY_MOMENT,)  # there it is motor_efficiency_loss
+    sentence = "Actuators have lost {loss} of their strength (one number per input, in their order)."
+    separate = "drive each input by itself, and all of them together"
+
+
+class ActuatorGainDrift(Effect):
+    """The strength of the actuator changes with time."""
+
+    each_input = True
+    drifts = True
+    port = Port.INPUT
+    formula = "u_eff = u (1 + r t)"
+    source = "warming or wear of an actuator, first order in time"
+    PARAMETERS = {"rate": Parameter(0.0, "1/s", scale=0.01, help="relative change of strength per second")}
+    amplitudes = ("rate",)
+    sentence = "The actuator's strength changes by {rate}, counted from the start of the clock."
+    not_of = dict.fromkeys(FLYING, "thrust_sag is the same term")
+    separate = "repeat the same inputs early and late in a long run"
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        return (self.value("rate") * elapsed(t, x)).to(u.dtype) * u

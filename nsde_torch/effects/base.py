@@ -11,6 +11,7 @@ lag, then what changes the strength. Effects on the other ports see the input th
 from __future__ import annotations
 
 import copy
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -228,7 +229,9 @@ class Effect(Parametrised, ABC):
         n_inputs: Number of inputs of the system, for effects with memory or parameters per input.
     """
 
-    name: ClassVar[str]  # key in `EFFECTS`
+    name: ClassVar[
+        str
+    ]  # key in `EFFECTS`; by default that of the class in small letters, `linear_drag` of `LinearDrag`
     port: ClassVar[Port]  # where it enters
     formula: ClassVar[str]  # the term, in words that fit on one line
     source: ClassVar[str]  # where it comes from
@@ -275,6 +278,8 @@ class Effect(Parametrised, ABC):
     local: ClassVar[bool] = False
     """Whether it acts in one place alone. The data may never have reached it: that they do not show it says nothing."""
     drifts: ClassVar[bool] = False  # whether it grows with the time of the log
+    not_of: ClassVar[Mapping[str, str]] = {}
+    """Systems whose diagnoses do not try it -> why (another effect is the same term, say)."""
     sentence: ClassVar[str] = ""
     """What it means, for who runs the machine; {parameter} is replaced by a value with its unit."""
     separate: ClassVar[str] = ""  # the experiment that would distinguish it from similar effects
@@ -288,6 +293,8 @@ class Effect(Parametrised, ABC):
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)
+        if "name" not in cls.__dict__:
+            cls.name = re.sub(r"(?<=[^_])(?=[A-Z])", "_", cls.__name__).lower()
         if "amplitudes" in cls.__dict__ and "null" not in cls.__dict__:
             cls.null = dict.fromkeys(cls.amplitudes, 0.0)
 
@@ -307,8 +314,8 @@ class Effect(Parametrised, ABC):
 
     @classmethod
     def no_candidate(cls, system: str) -> str:
-        """Why a diagnosis of this system does not try it (another effect is the same term, say); empty: it does."""
-        return ""
+        """Why a diagnosis of this system does not try it; empty: it does."""
+        return cls.not_of.get(system, "")
 
     @classmethod
     def size_names(cls) -> tuple[str, ...]:

@@ -15,14 +15,15 @@ import re
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
-from typing import Any, ClassVar, final
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
 
 from nsde_torch.effects.base import Effect, Parameter, Port
-from nsde_torch.effects.forces import ConstantForce, PeriodicForce, PositionBias
+from nsde_torch.effects.forces import PositionBias
 from nsde_torch.effects.multirotor_forces import ConstantWorldForce
+from nsde_torch.effects.steady import ConstantForce, PeriodicForce
 
 RUN = "run"
 """Column with the number of the run, 0 of the reference."""
@@ -79,11 +80,9 @@ class ByRun(Effect):
         return own @ table.T if table.dim() == 2 else (table * own[:, None]).sum(-1)
 
 
-@final
 class RunForce(ByRun, ConstantForce):
     """A force that is steady in each run and differs between runs."""
 
-    name = "run_force"
     formula = "c_r in run r"
     source = "slope of a track, trim or bias of an actuator that was set anew"
     includes = ("constant_force",)
@@ -94,11 +93,9 @@ class RunForce(ByRun, ConstantForce):
         return self.of_run(u)
 
 
-@final
 class RunZero(ByRun, PositionBias):
     """The sensor of a position reads too much, by another amount in each run."""
 
-    name = "run_zero"
     formula = "q - b_r in run r, for all that depends on q"
     source = "zero of an encoder that counts from where it was switched on"
     includes = ("position_bias",)
@@ -109,11 +106,9 @@ class RunZero(ByRun, PositionBias):
         return -self.of_run(u)
 
 
-@final
 class RunWorldForce(ByRun, ConstantWorldForce):
     """A force of the world that is steady in each run and differs between runs: wind of another day."""
 
-    name = "run_world_force"
     width = 3
     formula = "c_r in run r"
     source = "wind of another day, a cable"
@@ -125,14 +120,12 @@ class RunWorldForce(ByRun, ConstantWorldForce):
         return self.of_run(u)
 
 
-@final
 class RunPeriodicForce(ByRun, PeriodicForce):
     """A force that oscillates with the same frequency in each run and begins each with a phase of its own.
 
     A candidate like any other where runs have numbers: a wave of each run is seen in every part of it.
     """
 
-    name = "run_periodic_force"
     width = 2
     formula = "a_r sin(2 pi f t) + b_r cos(2 pi f t) in run r"
     source = "imbalance of a part that turns before a recording begins"

@@ -5,8 +5,6 @@ Barto, Sutton, Anderson (1983). A track at a slope of sin(angle) = s pulls cart 
 the pole does not notice, and its angle counts from the normal of the track.
 """
 
-from typing import final
-
 import torch
 from torch import Tensor
 
@@ -16,11 +14,9 @@ FLORIAN = "Florian, Correct equations for the dynamics of the cart-pole system (
 GRAVITY = 9.8
 
 
-@final
 class TrackTilt(Effect):
     """The track is not level: gravity pulls cart and pole along it."""
 
-    name = "track_tilt"
     port = Port.WORLD_FORCE
     systems = ("cartpole",)
     formula = "-g s, s = sin(angle of the track)"
@@ -34,7 +30,6 @@ class TrackTilt(Effect):
         return (-GRAVITY * self.value("slope")).expand(x.shape[0], 1)
 
 
-@final
 class PoleGravity(Effect):
     """Gravity that is not 9.8 m/s2, as in the gym task: 9.81 turns a pole by a thousandth more.
 
@@ -55,5 +50,4 @@ class PoleGravity(Effect):
     separate = "let the pole swing freely, the cart held: how fast it swings tells gravity over its length"
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        """See `Effect.forward`."""
         return self.value("excess") * torch.sin(x[:, 2:3])

@@ -10,7 +10,7 @@ all of them are 0.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, reduce
 from operator import add, mul
@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from nsde_torch.effects import units
-from nsde_torch.effects.base import Effect, Parameter, Port, elapsed
+from nsde_torch.effects.base import Effect, Parameter, Port, elapsed, in_row
 from nsde_torch.effects.expression_grammar import (
     Call,
     Coefficient,
@@ -34,6 +34,7 @@ from nsde_torch.effects.expression_grammar import (
     in_text,
     nodes,
     parse,
+    parts_of,
 )
 from nsde_torch.errors import ConfigError
 from nsde_torch.lookup import did_you_mean
@@ -96,8 +97,7 @@ class _Settling:
             inner = self.unit(node.arguments[0])
             whole = inner is not None and all(power % 2 == 0 for power in inner.values())
             return {u: power // 2 for u, power in inner.items()} if inner is not None and whole else None
-        parts = [part for _, part in node.parts] if isinstance(node, Sum) else list(node.arguments)
-        return self._same(parts)
+        return self._same(parts_of(node))
 
     def settle(self, node: Node, want: units.Powers | None) -> None:
         """Find the units of coefficients in a node that is to have a unit (None: any)."""
@@ -126,12 +126,11 @@ class _Settling:
         elif isinstance(node, Call) and node.function == "root":
             self.settle(node.arguments[0], None)
         elif isinstance(node, Sum | Call):
-            parts = [part for _, part in node.parts] if isinstance(node, Sum) else list(node.arguments)
-            same = self._same(parts)
-            for part in parts:
+            same = self._same(parts_of(node))
+            for part in parts_of(node):
                 self.settle(part, want if same is None else same)
 
-    def _same(self, parts: list[Node]) -> units.Powers | None:
+    def _same(self, parts: Sequence[Node]) -> units.Powers | None:
         """The unit of things that are added or compared."""
         known = [(part, unit) for part in parts if (unit := self.unit(part)) is not None]
         for part, unit in known[1:]:
@@ -219,9 +218,7 @@ class Expression(Effect):
         """The law in its row of the port, nothing in the others."""
         if not self.width:
             raise ConfigError(f"law {self.name!r} is of no machine; make it by `System.make_effect`.")
-        term = self._worked_out(self.law.right, t, x, u).expand(len(x), 1)
-        above, below = self.row, self.width - self.row - 1
-        return torch.nn.functional.pad(term, (above, below)) if above or below else term
+        return in_row(self._worked_out(self.law.right, t, x, u).expand(len(x), 1), self.row, self.width)
 
     def _worked_out(self, node: Node, t: float | Tensor, x: Tensor, u: Tensor) -> Tensor:
         """Value of a node (N, 1), or (1,)."""

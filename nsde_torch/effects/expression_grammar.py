@@ -18,6 +18,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 from nsde_torch.errors import ConfigError
 
@@ -125,22 +126,19 @@ def is_law(name: str) -> bool:
 def nodes(node: Node) -> Iterator[Node]:
     """A node and all below it."""
     yield node
-    below: tuple[Node, ...] = ()
-    if isinstance(node, Sum):
-        below = tuple(part for _, part in node.parts)
-    elif isinstance(node, Product):
-        below = node.parts
-    elif isinstance(node, Power):
-        below = (node.base,)
-    elif isinstance(node, Call):
-        below = node.arguments
-    for one in below:
+    for one in parts_of(node):
         yield from nodes(one)
 
 
-def in_text(node: Node) -> str:
-    """A node as the grammar has it."""
-    return _Form().text(node)
+def parts_of(node: Node) -> Sequence[Node]:
+    """What a node is made of."""
+    if isinstance(node, Sum):
+        return [part for _, part in node.parts]
+    if isinstance(node, Power):
+        return [node.base]
+    if isinstance(node, Product):
+        return node.parts
+    return node.arguments if isinstance(node, Call) else ()
 
 
 def _factors(term: Node) -> list[str]:
@@ -209,16 +207,18 @@ class _Parser:
         self.at += taken
         return taken
 
+    def _expected(self, what: str) -> ConfigError:
+        got = repr(self._next.text) if self._next.text else "the end"
+        return self._error(f"expected {what}, got {got}", self._next.start)
+
     def _expect(self, sign: str) -> None:
         if not self._take(sign):
-            got = repr(self._next.text) if self._next.text else "the end"
-            raise self._error(f"expected {sign!r}, got {got}", self._next.start)
+            raise self._expected(repr(sign))
 
     def _word(self, what: str) -> str:
         token = self._next
         if token.kind not in ("name", "number"):
-            got = repr(token.text) if token.text else "the end"
-            raise self._error(f"expected {what}, got {got}", token.start)
+            raise self._expected(what)
         self.at += 1
         return token.text
 
@@ -297,13 +297,11 @@ class _Parser:
             self.at += 1
             return Whole(int(token.text))
         if token.kind != "name":
-            got = repr(token.text) if token.text else "the end"
-            raise self._error(f"expected a variable, a coefficient or a function, got {got}", token.start)
+            raise self._expected("a variable, a coefficient or a function")
         self.at += 1
-        called = self._next.text == "(" and self._next.start == token.end
         if token.text in FUNCTIONS:
             return self._call(token)
-        if called:
+        if self._next.text == "(" and self._next.start == token.end:
             raise self._error(
                 f"{token.text!r} is no function; functions are {', '.join(FUNCTIONS)}", token.start
             )
@@ -331,9 +329,12 @@ def _unwrapped(inner: Sum) -> Node:
     return inner.parts[0][1] if len(inner.parts) == 1 and inner.parts[0][0] > 0 else inner
 
 
-_LATEX = {"sin": r"\sin", "cos": r"\cos", "max": r"\max", "min": r"\min"}
-_SYMPY = {"abs": "Abs", "max": "Max", "min": "Min"}
 _GREEK = ("alpha", "beta", "gamma", "delta", "theta", "phi", "psi", "omega", "tau", "rho", "mu")
+
+
+def in_text(node: Node) -> str:
+    """A node as the grammar has it."""
+    return _Form().text(node)
 
 
 def valued(law: Written, values: Mapping[str, float]) -> str:
@@ -357,6 +358,8 @@ class _Form:
     """How nodes are written: as the grammar has them."""
 
     times = " "
+    power = "{0}^{1}"
+    calls: ClassVar[Mapping[str, str]] = {}  # functions that are written otherwise than `name(a, b)`
 
     def text(self, node: Node) -> str:
         if isinstance(node, Sum):
@@ -364,9 +367,11 @@ class _Form:
         if isinstance(node, Product):
             return self.times.join(map(self.factor, self.ordered(node)))
         if isinstance(node, Power):
-            return self.power(node)
+            return self.power.format(self.factor(node.base), node.power)
         if isinstance(node, Call):
-            return self.call(node.function, [self.text(a) for a in node.arguments])
+            arguments = [self.text(a) for a in node.arguments]
+            usual = f"{node.function}({', '.join(arguments)})"
+            return self.calls[node.function].format(*arguments) if node.function in self.calls else usual
         if isinstance(node, Coefficient):
             return self.coefficient(node)
         return str(node.value) if isinstance(node, Whole) else self.variable(node)
@@ -387,12 +392,6 @@ class _Form:
     def ordered(self, node: Product) -> Sequence[Node]:
         return node.parts
 
-    def power(self, node: Power) -> str:
-        return f"{self.factor(node.base)}^{node.power}"
-
-    def call(self, function: str, arguments: list[str]) -> str:
-        return f"{function}({', '.join(arguments)})"
-
     def coefficient(self, node: Coefficient) -> str:
         return node.name
 
@@ -403,14 +402,13 @@ class _Form:
 class _Valued(_Form):
     """As a report has them, with values."""
 
+    calls = {"expm1": "(exp({0}) - 1)"}
+
     def __init__(self, values: Mapping[str, float]) -> None:
         self.values = values
 
     def ordered(self, node: Product) -> Sequence[Node]:
         return sorted(node.parts, key=lambda part: not isinstance(part, Coefficient))  # the size first
-
-    def call(self, function: str, arguments: list[str]) -> str:
-        return f"(exp({arguments[0]}) - 1)" if function == "expm1" else super().call(function, arguments)
 
     def coefficient(self, node: Coefficient) -> str:
         return f"{self.values[node.name]:.3g}"
@@ -423,20 +421,17 @@ class _Sympy(_Valued):
     """As SymPy has it."""
 
     times = "*"
-
-    def power(self, node: Power) -> str:
-        return f"{self.factor(node.base)}**{node.power}"
-
-    def call(self, function: str, arguments: list[str]) -> str:
-        if function == "sign":
-            return f"tanh(({arguments[0]})/({arguments[1]}))"
-        if function == "peak":
-            return "2*({0})*({1})/(({0})**2 + ({1})**2)".format(*arguments)
-        if function == "pull":
-            return "({0})/({1})*exp(1/2 - ({0})**2/(2*({1})**2))".format(*arguments)
-        if function == "root":
-            return "sign({0})*sqrt(Abs({0}))".format(*arguments)
-        return super().call(_SYMPY.get(function, function), arguments)
+    power = "{0}**{1}"
+    calls = {
+        **_Valued.calls,
+        "abs": "Abs({0})",
+        "max": "Max({0}, {1})",
+        "min": "Min({0}, {1})",
+        "sign": "tanh(({0})/({1}))",
+        "peak": "2*({0})*({1})/(({0})**2 + ({1})**2)",
+        "pull": "({0})/({1})*exp(1/2 - ({0})**2/(2*({1})**2))",
+        "root": "sign({0})*sqrt(Abs({0}))",
+    }
 
     def coefficient(self, node: Coefficient) -> str:
         return repr(self.values[node.name])
@@ -446,24 +441,17 @@ class _Latex(_Valued):
     """As LaTeX has it."""
 
     times = r"\,"
-
-    def power(self, node: Power) -> str:
-        return f"{self.factor(node.base)}^{{{node.power}}}"
-
-    def call(self, function: str, arguments: list[str]) -> str:
-        if function == "abs":
-            return rf"\left|{arguments[0]}\right|"
-        if function == "sign":
-            return rf"\tanh\left({arguments[0]} / {arguments[1]}\right)"
-        if function == "peak":
-            return r"\frac{{2\,({0})\,{1}}}{{({0})^2 + {1}^2}}".format(*arguments)
-        if function == "pull":
-            return r"\frac{{{0}}}{{{1}}}\,e^{{1/2 - ({0})^2 / (2\,{1}^2)}}".format(*arguments)
-        if function == "expm1":
-            return rf"\left(e^{{{arguments[0]}}} - 1\right)"
-        if function == "root":
-            return r"\operatorname{{sign}}({0})\,\sqrt{{\left|{0}\right|}}".format(*arguments)
-        return rf"{_LATEX[function]}\left({', '.join(arguments)}\right)"
+    power = "{0}^{{{1}}}"
+    calls = {
+        **{name: rf"\{name}\left({{0}}\right)" for name in ("sin", "cos")},
+        **{name: rf"\{name}\left({{0}}, {{1}}\right)" for name in ("max", "min")},
+        "abs": r"\left|{0}\right|",
+        "sign": r"\tanh\left({0} / {1}\right)",
+        "peak": r"\frac{{2\,({0})\,{1}}}{{({0})^2 + {1}^2}}",
+        "pull": r"\frac{{{0}}}{{{1}}}\,e^{{1/2 - ({0})^2 / (2\,{1}^2)}}",
+        "expm1": r"\left(e^{{{0}}} - 1\right)",
+        "root": r"\operatorname{{sign}}({0})\,\sqrt{{\left|{0}\right|}}",
+    }
 
     def coefficient(self, node: Coefficient) -> str:
         number = super().coefficient(node)

@@ -1,15 +1,53 @@
-"""Forces of one coordinate: constant, periodic, elastic, of a hidden mass."""
+"""Springs, hidden masses, stores, hysteresis, weights and stops of one coordinate, and the zero of its sensor.
+
+q is its position, v its velocity.
+"""
 
 from abc import abstractmethod
 from math import exp, expm1, pi
-from typing import ClassVar, final
+from typing import ClassVar
 
 import torch
 from torch import Tensor
 
-from nsde_torch.effects.base import Effect, Parameter, Port, elapsed, in_row
+from nsde_torch.effects.base import Effect, Parameter, Port, in_row
 from nsde_torch.effects.coordinates import KINDS, PLACE, STORE, Bound
 from nsde_torch.effects.law import Law
+
+
+class LinearSpring(Law):
+    """A spring to the origin."""
+
+    reads_position = True
+    kinds = ("rail", "joint")
+    formula = "-k q"
+    source = "supplement B: m q'' = -b q' - k q"
+    PARAMETERS = {"stiffness": Parameter(1.0, "force/position", low=0.0, help="spring constant")}
+    along = "position"
+    amplitudes = ("stiffness",)
+    sentence = "A spring pulls {it} to the origin with {stiffness}."
+    separate = "push at several amplitudes"
+
+    def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        return -self.value("stiffness") * self.q(x)
+
+
+class CubicStiffness(Law):
+    """A spring that hardens (or softens) with its extension."""
+
+    reads_position = True
+    kinds = ("rail", "joint")
+    formula = "-k q^3"
+    source = "Duffing (1918)"  # Erzwungene Schwingungen bei veraenderlicher Eigenfrequenz
+    PARAMETERS = {"stiffness": Parameter(0.0, "force/position3", scale=1.0, help="cubic constant")}
+    along = "position"
+    amplitudes = ("stiffness",)
+    sentence = "A spring against {it} changes with extension: a force of {stiffness} times the cube of it."
+    separate = "push at several amplitudes, far beyond the usual ones"
+
+    def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        q = self.q(x)
+        return -self.value("stiffness") * q * q * q
 
 
 class HiddenSwing(Effect):
@@ -66,261 +104,13 @@ class HiddenSwing(Effect):
         return torch.from_numpy(along).to(x.dtype)
 
     def memory_start(self, x: Tensor, u: Tensor) -> Tensor:
-        """See `Effect.memory_start`: it moves along."""
-        v = self.velocity(x)
+        v = self.velocity(x)  # it moves along
         return torch.cat((torch.zeros_like(v), v), 1)
 
 
-class ConstantForce(Law):
-    """A force that never changes."""
-
-    name = "constant_force"
-    formula = "c"
-    source = "bias of an actuator or a slope"
-    PARAMETERS = {
-        "acceleration": Parameter(0.0, "force", scale=0.1, help="force (over mass, where forces are)")
-    }
-    amplitudes = ("acceleration",)
-    sentence = "A force that never changes acts on {it}, with {acceleration}."
-    separate = "leave it alone, at rest, in several places"
-
-    def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        return self.value("acceleration").expand(x.shape[0], 1)
-
-
-class PeriodicForce(Law):
-    """A force that oscillates with the clock of the log, as an unbalanced rotor's."""
-
-    name = "periodic_force"
-    formula = "a sin(2 pi f t) + b cos(2 pi f t)"
-    source = "imbalance of a rotating part; den Hartog, Mechanical Vibrations (1934)"
-    PARAMETERS = {
-        "sine": Parameter(0.0, "force", scale=0.1, help="part in phase with the clock"),
-        "cosine": Parameter(0.0, "force", scale=0.1, help="part a quarter ahead of it"),
-        "frequency": Parameter(1.0, "Hz", low=0.0, scale=0.1, help="oscillations per second"),
-    }
-    amplitudes: ClassVar[tuple[str, ...]] = ("sine", "cosine")
-    shapes = {"frequency": ()}
-    relative = {"frequency": "spectrum"}
-    sentence = "A force on {it} swings {frequency}, whatever the machine does (sine {sine}, cosine {cosine})."
-    separate = "record without input: what swings on with the clock is not the machine"
-
-    def angle(self, t: float | Tensor, x: Tensor) -> Tensor:
-        """Angle at a time [rad], in the precision of states; turns in that of the clock: a log may start at 1e9 s."""
-        return (2.0 * pi * torch.remainder(self.value("frequency") * elapsed(t, x), 1.0)).to(x.dtype)
-
-    def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        angle = self.angle(t, x)
-        term = self.value("sine") * torch.sin(angle) + self.value("cosine") * torch.cos(angle)
-        return term.reshape(-1, 1).expand(x.shape[0], 1)
-
-
-# Forces that repeat with the position of one coordinate: the teeth of a motor, an axis out of balance.
-#
-# (Proca, Keyhani, El-Antably, Lu, Dai, "Analytical model for permanent magnet motors with surface mounted
-# magnets", IEEE Transactions on Energy Conversion 18, 2003, for the cogging torque as a series in the angle
-# of the rotor.)
-
-
-_OF_ANGLE = {
-    "sine": Parameter(0.0, "force", scale=0.1, help="part that is nothing at the origin"),
-    "cosine": Parameter(0.0, "force", scale=0.1, help="part that is largest at the origin"),
-}
-
-
-@final
-class Ripple(Law):
-    """A force that repeats a number of times a turn."""
-
-    name = "ripple"
-    kinds = ("joint", "axis")
-    reads_position = True
-    formula = "a sin(n q) + b cos(n q)"
-    source = "cogging torque, Proca et al., IEEE Transactions on Energy Conversion 18 (2003)"
-    PARAMETERS = {
-        **_OF_ANGLE,
-        "order": Parameter(6.0, "1", low=0.5, scale=1.0, help="repeats in a turn"),
-    }
-    along = "position"
-    amplitudes = ("sine", "cosine")
-    # over many turns an order is not reached from the next one (tests/diagnosis/test_own_machines.py)
-    shapes = {"order": tuple(map(float, range(1, 25)))}
-    includes = ("gravity_torque",)
-    sentence = "A force on {it} repeats {order} times a turn (sine {sine}, cosine {cosine})."
-    separate = "turn slowly through the whole range, to and fro"
-
-    def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        angle = self.value("order") * self.q(x)
-        return self.value("sine") * torch.sin(angle) + self.value("cosine") * torch.cos(angle)
-
-
-class _Stop(Law):
-    """A stop: nothing on one side of its end, and a spring whose damping grows with the depth on the other.
-
-    A spring that was slack within 0.06 m was a peak, a cube, a sign and a sine without stops, two of them sure. One
-    effect with two ends found one of them (springs between stops, seeds 1 and 2 of ten).
-    """
-
-    kinds = ("rail", "joint")
-    reads_position = True
-    source = "contact as spring and damper; Hunt, Crossley, Journal of Applied Mechanics 42 (1975)"
-    PARAMETERS = {
-        "stiffness": Parameter(1.0, "force/position", low=0.0, help="of the stop"),
-        "damping": Parameter(0.1, "force/(speed position)", low=0.0, help="beyond the end, by depth"),
-        "end": Parameter(0.0, "position", scale=0.1, help="where it begins"),
-    }
-    along = "position"
-    local = True
-    amplitudes = ("stiffness", "damping")
-    relative = {"end": "position"}
-    separate = "move slowly up to the end and beyond"
-
-    def _beyond(self, x: Tensor) -> Tensor:
-        raise NotImplementedError
-
-    def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        beyond = self._beyond(x)
-        return -self.value("stiffness") * beyond - self.value("damping") * beyond.abs() * self.v(x)
-
-
-@final
-class StopAbove(_Stop):
-    """A stop at the upper end, or one side of a spring with play."""
-
-    name = "stop_above"
-    formula = "-k d - b |d| v, d = max(q - end, 0)"
-    shapes = {"end": (-0.4, -0.1, 0.1, 0.25, 0.4, 0.6, 0.8, 0.95)}
-    sentence = "A stop holds {it} above {end}, with {stiffness} and {damping}."
-
-    def _beyond(self, x: Tensor) -> Tensor:
-        return torch.relu(self.q(x) - self.value("end"))
-
-
-@final
-class StopBelow(_Stop):
-    """A stop at the lower end, or one side of a spring with play."""
-
-    name = "stop_below"
-    formula = "-k d - b |d| v, d = min(q - end, 0)"
-    shapes = {"end": (0.4, 0.1, -0.1, -0.25, -0.4, -0.6, -0.8, -0.95)}
-    sentence = "A stop holds {it} below {end}, with {stiffness} and {damping}."
-
-    def _beyond(self, x: Tensor) -> Tensor:
-        return -torch.relu(self.value("end") - self.q(x))
-
-
-@final
-class LinkWeight(Law):
-    """Weight of one link of a planar chain of joints, which turns its own joint and all before it.
-
-    The angle of each joint counts from the link before it, so that link k leans by the sum of the first k angles. An
-    arm whose controller makes up for a wrong weight, or that carries a load, was five provisional terms without it.
-    """
-
-    name = "link_weight"
-    kinds = ("joint", "axis")
-    reads_position = reads_chain = True
-    formula = "a sin(s) + b cos(s) on this and all joints before, s = q1 + ... + q"
-    source = "gravity terms of a planar arm; Craig, Introduction to Robotics (2005), chapter 6"
-    PARAMETERS = _OF_ANGLE
-    amplitudes = ("sine", "cosine")
-    sentence = "The link of {it} weighs more or less than declared (sine {sine}, cosine {cosine})."
-    separate = "hold the arm still in many postures"
-
-    def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        lean = x[:, [position for _, position in self.at.chain]].sum(1, keepdim=True)
-        return self.value("sine") * torch.sin(lean) + self.value("cosine") * torch.cos(lean)
-
-    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        """See `Effect.forward`."""
-        rows = torch.zeros(self.at.width, dtype=x.dtype, device=x.device)
-        rows[[row for row, _ in self.at.chain]] = 1.0
-        return self.term(t, x, u, memory) * rows
-
-
-@final
-class GravityTorque(Law):
-    """Weight beside the axis of one joint: a pendulum that is heavier or longer than declared, or of another zero.
-
-    Of a Furuta pendulum whose weight was a fifth too small it was a `ripple` of order 0.997, provisional.
-    """
-
-    name = "gravity_torque"
-    kinds = ("joint", "axis")
-    reads_position = True
-    formula = "a sin(q) + b cos(q)"
-    source = "gravity term of a pendulum; Craig, Introduction to Robotics (2005), chapter 6"
-    PARAMETERS = _OF_ANGLE
-    along = "position"
-    amplitudes = ("sine", "cosine")
-    sentence = "A weight that is not declared turns {it} (sine {sine}, cosine {cosine})."
-    separate = "let it hang, and hold it in several postures"
-
-    @classmethod
-    def suits(cls, at: Bound) -> bool:
-        """Whether it is an angle, and not the first of a chain, whose `link_weight` it is."""
-        return super().suits(at) and dict(at.units)["position"] == "rad" and len(at.chain) != 1
-
-    @classmethod
-    def no_candidate(cls, system: str) -> str:
-        """See `Effect.no_candidate`."""
-        return "gravity and track_tilt are that" if system == "cartpole" else ""
-
-    def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        q = self.q(x)
-        return self.value("sine") * torch.sin(q) + self.value("cosine") * torch.cos(q)
-
-
-# Springs on one coordinate; q is its position.
-#
-# A spring that hardens or softens adds a cube (Duffing, Erzwungene Schwingungen bei veraenderlicher
-# Eigenfrequenz, 1918).
-
-
-@final
-class LinearSpring(Law):
-    """A spring to the origin."""
-
-    name = "linear_spring"
-    reads_position = True
-    kinds = ("rail", "joint")
-    formula = "-k q"
-    source = "supplement B: m q'' = -b q' - k q"
-    PARAMETERS = {"stiffness": Parameter(1.0, "force/position", low=0.0, help="spring constant")}
-    along = "position"
-    amplitudes = ("stiffness",)
-    sentence = "A spring pulls {it} to the origin with {stiffness}."
-    separate = "push at several amplitudes"
-
-    def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        return -self.value("stiffness") * self.q(x)
-
-
-@final
-class CubicStiffness(Law):
-    """A spring that hardens (or softens) with its extension."""
-
-    name = "cubic_stiffness"
-    reads_position = True
-    kinds = ("rail", "joint")
-    formula = "-k q^3"
-    source = "Duffing (1918)"
-    PARAMETERS = {"stiffness": Parameter(0.0, "force/position3", scale=1.0, help="cubic constant")}
-    along = "position"
-    amplitudes = ("stiffness",)
-    sentence = "A spring against {it} changes with extension: a force of {stiffness} times the cube of it."
-    separate = "push at several amplitudes, far beyond the usual ones"
-
-    def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        q = self.q(x)
-        return -self.value("stiffness") * q * q * q
-
-
-@final
 class HiddenMass(HiddenSwing, Law):
     """A further mass on a spring that is not in the log: liquid that sloshes, a flexible arm."""
 
-    name = "hidden_mass"
     formula = "-m y'', y'' = w^2 (q - y) + 2 d w (v - y'), w = 2 pi f"
     source = "the absorber of den Hartog, Mechanical Vibrations (1934)"
     PARAMETERS = {
@@ -340,15 +130,43 @@ class HiddenMass(HiddenSwing, Law):
     separate = "stop the machine at once and hold it: what swings on is not in the log"
 
     def swing(self) -> Tensor:
-        """See `HiddenSwing`."""
         return 2.0 * pi * self.value("frequency")
 
     def velocity(self, x: Tensor) -> Tensor:
-        """See `HiddenSwing`."""
         return self.v(x)
 
     def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         return self.pull(x, u, memory)
+
+
+class AddedInertia(Law):
+    """What moves is heavier or longer than declared: it accelerates by a share less, whatever pushes it.
+
+    A ball that is hollow, a pole that is longer and a rope of another length were hidden masses that hardly resonate.
+    """
+
+    port = Port.INERTIA
+    formula = "-s v', of the acceleration that all else makes"
+    source = "Newton's second law with another inertia"
+    PARAMETERS = {
+        "share": Parameter(
+            0.0, "1", low=-1.0, high=0.9, scale=0.1, help="of the acceleration that is missing"
+        )
+    }
+    amplitudes = ("share",)
+    sentence = (
+        "{it} accelerates by a share of {share} less than declared (below 0: more): as if its inertia or its length "
+        "were larger (smaller) by that share of what it is, or a constant of its equation is another one."
+    )
+    not_of = dict.fromkeys(("mass_spring_damper", "cartpole"), "its parameters are that")
+    separate = "weigh and measure it, or swing it freely"
+
+    def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        return -self.value("share").expand(x.shape[0], 1)
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        """The share of the rate of the whole state that it adds (N, nx)."""
+        return in_row(self.term(t, x, u, memory), self.at.velocity, x.shape[1])
 
 
 class _Slow(Law):
@@ -383,11 +201,31 @@ class _Slow(Law):
         return torch.tensor([start, *rows, last], dtype=x.dtype)[:, None]
 
 
-@final
+class Viscoelasticity(_Slow):
+    """A spring behind a damper: rubber or a seal whose force fades where it is held."""
+
+    formula = "-k T m, dm/dt = (v - m) / T"
+    source = "Maxwell, Philosophical Transactions 157 (1867)"
+    PARAMETERS = {
+        "stiffness": Parameter(1.0, "force/position", low=0.0, help="against what is quick"),
+        "time": _Slow.TIME,
+    }
+    amplitudes = ("stiffness",)
+    sentence = (
+        "A spring of {stiffness} holds {it}, and gives way in {time} where it is held (viscoelasticity)."
+    )
+    separate = "move it at once and hold it there: the force fades"
+
+    def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        return -self.value("stiffness") * self.value("time") * memory
+
+    def memory_start(self, x: Tensor, u: Tensor) -> Tensor:
+        return torch.zeros_like(self.v(x))  # without force
+
+
 class Relaxation(_Slow):
     """What is stored beside a state and comes back late: a wall's heat, a battery's second relaxation, a fluid."""
 
-    name = "relaxation"
     kinds = KINDS
     formula = "c (m - v), dm/dt = (v - m) / T"
     source = "two stores in exchange; Plett, Battery Management Systems, volume 1 (2015), on pairs of R and C"
@@ -403,18 +241,15 @@ class Relaxation(_Slow):
         return self.value("exchange") * (memory - self.v(x))
 
     def memory_start(self, x: Tensor, u: Tensor) -> Tensor:
-        """See `Effect.memory_start`: in equilibrium."""
-        return self.v(x)
+        return self.v(x)  # in equilibrium
 
 
-@final
 class Exchange(Law):
     """What a store loses to its surroundings, which stay as they are: heat to a room, a leak, self-discharge.
 
     Without it a reactor's loss of heat was a loss of its coolant, which is 312 to 337 K, and a slow relaxation.
     """
 
-    name = "exchange"
     kinds = (STORE,)
     formula = "a - c v"
     source = "Newton's law of cooling; a leak of a tank or a capacitor to first order"
@@ -435,39 +270,12 @@ class Exchange(Law):
         return self.value("inflow") - self.value("rate") * self.v(x)
 
 
-@final
-class Viscoelasticity(_Slow):
-    """A spring behind a damper: rubber or a seal whose force fades where it is held."""
-
-    name = "viscoelasticity"
-    formula = "-k T m, dm/dt = (v - m) / T"
-    source = "Maxwell, Philosophical Transactions 157 (1867)"
-    PARAMETERS = {
-        "stiffness": Parameter(1.0, "force/position", low=0.0, help="against what is quick"),
-        "time": _Slow.TIME,
-    }
-    amplitudes = ("stiffness",)
-    sentence = (
-        "A spring of {stiffness} holds {it}, and gives way in {time} where it is held (viscoelasticity)."
-    )
-    separate = "move it at once and hold it there: the force fades"
-
-    def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        return -self.value("stiffness") * self.value("time") * memory
-
-    def memory_start(self, x: Tensor, u: Tensor) -> Tensor:
-        """See `Effect.memory_start`: without force."""
-        return torch.zeros_like(self.v(x))
-
-
-@final
 class DriftVelocity(Law):
     """A position changes by more than the velocities say: a current under a boat, water or air that carries it along.
 
     Without it the current of two boats was rudders that are late and a heading whose zero changes.
     """
 
-    name = "drift_velocity"
     kinds = (PLACE,)
     formula = "c, added to the rate of a position"
     source = (
@@ -484,45 +292,188 @@ class DriftVelocity(Law):
         return self.value("velocity").expand(x.shape[0], 1)
 
 
-class AddedInertia(Law):
-    """What moves is heavier or longer than declared: it accelerates by a share less, whatever pushes it.
+class Hysteresis(Law):
+    """A force that depends on the way it came: a spring that yields, rubber, cables, presliding friction (Bouc-Wen).
 
-    A ball that is hollow, a pole that is longer and a rope of another length were hidden masses that hardly resonate.
+    Of the model with exponent 1 and equal weights, z in [-1, 1]. Where d goes to nothing it is dry friction.
     """
 
-    name = "added_inertia"
-    port = Port.INERTIA
-    formula = "-s v', of the acceleration that all else makes"
-    source = "Newton's second law with another inertia"
+    reads_position = True
+    formula = "-s z, dz/dt = (v - (|v| z + v |z|) / 2) / d"
+    source = "Bouc, Acustica 24 (1971); Wen, J. Eng. Mech. Div. 102 (1976)"
     PARAMETERS = {
-        "share": Parameter(
-            0.0, "1", low=-1.0, high=0.9, scale=0.1, help="of the acceleration that is missing"
-        )
+        "size": Parameter(0.1, "force", low=0.0, help="force where it yields"),
+        "reach": Parameter(0.05, "position", low=0.0, help="way in which it builds up"),
     }
-    amplitudes = ("share",)
+    amplitudes = ("size",)
+    shapes = {"reach": (0.05, 0.2, 0.6)}
+    relative = {"reach": "position"}
+    includes = ("coulomb_friction",)
     sentence = (
-        "{it} accelerates by a share of {share} less than declared (below 0: more): as if its inertia or its length "
-        "were larger (smaller) by that share of what it is, or a constant of its equation is another one."
+        "The force on {it} remembers the way it came (hysteresis): it builds up within {reach} after each turn and "
+        "yields at {size}."
     )
-    separate = "weigh and measure it, or swing it freely"
+    separate = "move to and fro slowly, with small and large strokes: friction turns at once, hysteresis over its reach"
 
-    @classmethod
-    def no_candidate(cls, system: str) -> str:
-        """See `Effect.no_candidate`."""
-        return "its parameters are that" if system in ("mass_spring_damper", "cartpole") else ""
+    @property
+    def n_memory(self) -> int:
+        """The share z of the force at which it yields."""
+        return 1
 
     def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        return -self.value("share").expand(x.shape[0], 1)
+        return -self.value("size") * memory
+
+    def memory_rate(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        v, z = self.v(x), memory.clamp(-1.0, 1.0)
+        return (v - 0.5 * (v.abs() * z + v * z.abs())) / self.value("reach")
+
+    def followed(self, x: Tensor, dt: float) -> Tensor:
+        from nsde_torch.effects.recursions import bouc_wen
+
+        v, reach = self.v(x)[:, 0], float(self.value("reach").detach())
+        ways = torch.cat((0.5 * (v[1:] + v[:-1]), v[-1:])) * (dt / reach)
+        return torch.from_numpy(bouc_wen(ways.double().numpy(), float(v[0].sign())))[:, None].to(x.dtype)
+
+    def memory_start(self, x: Tensor, u: Tensor) -> Tensor:
+        return self.v(x).sign()  # it has come this way for long
+
+
+_OF_ANGLE = {
+    "sine": Parameter(0.0, "force", scale=0.1, help="part that is nothing at the origin"),
+    "cosine": Parameter(0.0, "force", scale=0.1, help="part that is largest at the origin"),
+}
+
+
+class _OfAngle(Law):
+    """A wave of an angle."""
+
+    kinds = ("joint", "axis")
+    reads_position = True
+    PARAMETERS = _OF_ANGLE
+    amplitudes = ("sine", "cosine")
+
+    def wave(self, angle: Tensor) -> Tensor:
+        return self.value("sine") * torch.sin(angle) + self.value("cosine") * torch.cos(angle)
+
+
+class Ripple(_OfAngle):
+    """A force that repeats a number of times a turn: the teeth of a motor, an axis out of balance."""
+
+    formula = "a sin(n q) + b cos(n q)"
+    source = "cogging torque, Proca et al., IEEE Transactions on Energy Conversion 18 (2003)"
+    PARAMETERS = {
+        **_OF_ANGLE,
+        "order": Parameter(6.0, "1", low=0.5, scale=1.0, help="repeats in a turn"),
+    }
+    along = "position"
+    # over many turns an order is not reached from the next one (tests/diagnosis/test_own_machines.py)
+    shapes = {"order": tuple(map(float, range(1, 25)))}
+    includes = ("gravity_torque",)
+    sentence = "A force on {it} repeats {order} times a turn (sine {sine}, cosine {cosine})."
+    separate = "turn slowly through the whole range, to and fro"
+
+    def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        return self.wave(self.value("order") * self.q(x))
+
+
+class _Stop(Law):
+    """A stop: nothing on one side of its end, and a spring whose damping grows with the depth on the other.
+
+    A spring that was slack within 0.06 m was a peak, a cube, a sign and a sine without stops, two of them sure. One
+    effect with two ends found one of them (springs between stops, seeds 1 and 2 of ten).
+    """
+
+    kinds = ("rail", "joint")
+    reads_position = True
+    source = "contact as spring and damper; Hunt, Crossley, Journal of Applied Mechanics 42 (1975)"
+    PARAMETERS = {
+        "stiffness": Parameter(1.0, "force/position", low=0.0, help="of the stop"),
+        "damping": Parameter(0.1, "force/(speed position)", low=0.0, help="beyond the end, by depth"),
+        "end": Parameter(0.0, "position", scale=0.1, help="where it begins"),
+    }
+    along = "position"
+    local = True
+    amplitudes = ("stiffness", "damping")
+    relative = {"end": "position"}
+    separate = "move slowly up to the end and beyond"
+
+    def _beyond(self, x: Tensor) -> Tensor:
+        raise NotImplementedError
+
+    def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        beyond = self._beyond(x)
+        return -self.value("stiffness") * beyond - self.value("damping") * beyond.abs() * self.v(x)
+
+
+class StopAbove(_Stop):
+    """A stop at the upper end, or one side of a spring with play."""
+
+    formula = "-k d - b |d| v, d = max(q - end, 0)"
+    shapes = {"end": (-0.4, -0.1, 0.1, 0.25, 0.4, 0.6, 0.8, 0.95)}
+    sentence = "A stop holds {it} above {end}, with {stiffness} and {damping}."
+
+    def _beyond(self, x: Tensor) -> Tensor:
+        return torch.relu(self.q(x) - self.value("end"))
+
+
+class StopBelow(_Stop):
+    """A stop at the lower end, or one side of a spring with play."""
+
+    formula = "-k d - b |d| v, d = min(q - end, 0)"
+    shapes = {"end": (0.4, 0.1, -0.1, -0.25, -0.4, -0.6, -0.8, -0.95)}
+    sentence = "A stop holds {it} below {end}, with {stiffness} and {damping}."
+
+    def _beyond(self, x: Tensor) -> Tensor:
+        return -torch.relu(self.value("end") - self.q(x))
+
+
+class LinkWeight(_OfAngle):
+    """Weight of one link of a planar chain of joints, which turns its own joint and all before it.
+
+    The angle of each joint counts from the link before it, so that link k leans by the sum of the first k angles. An
+    arm whose controller makes up for a wrong weight, or that carries a load, was five provisional terms without it.
+    """
+
+    reads_chain = True
+    formula = "a sin(s) + b cos(s) on this and all joints before, s = q1 + ... + q"
+    source = "gravity terms of a planar arm; Craig, Introduction to Robotics (2005), chapter 6"
+    sentence = "The link of {it} weighs more or less than declared (sine {sine}, cosine {cosine})."
+    separate = "hold the arm still in many postures"
+
+    def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        return self.wave(x[:, [position for _, position in self.at.chain]].sum(1, keepdim=True))
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        """The share of the rate of the whole state that it adds (N, nx)."""
-        return in_row(self.term(t, x, u, memory), self.at.velocity, x.shape[1])
+        rows = torch.zeros(self.at.width, dtype=x.dtype, device=x.device)
+        rows[[row for row, _ in self.at.chain]] = 1.0
+        return self.term(t, x, u, memory) * rows
+
+
+class GravityTorque(_OfAngle):
+    """Weight beside the axis of one joint: a pendulum that is heavier or longer than declared, or of another zero.
+
+    Of a Furuta pendulum whose weight was a fifth too small it was a `ripple` of order 0.997, provisional.
+    """
+
+    formula = "a sin(q) + b cos(q)"
+    source = "gravity term of a pendulum; Craig, Introduction to Robotics (2005), chapter 6"
+    along = "position"
+    sentence = "A weight that is not declared turns {it} (sine {sine}, cosine {cosine})."
+    not_of = {"cartpole": "gravity and track_tilt are that"}
+    separate = "let it hang, and hold it in several postures"
+
+    @classmethod
+    def suits(cls, at: Bound) -> bool:
+        """Whether it is an angle, and not the first of a chain, whose `link_weight` it is."""
+        return super().suits(at) and dict(at.units)["position"] == "rad" and len(at.chain) != 1
+
+    def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        return self.wave(self.q(x))
 
 
 class PositionBias(Law):
     """The sensor of a position reads too much, by the same everywhere: all physics is at the position that is."""
 
-    name = "position_bias"
     port = Port.POSITION
     reads_position = True
     formula = "q - b, for all that depends on q"

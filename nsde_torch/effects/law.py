@@ -120,28 +120,33 @@ def law_at(law: type[Law], at: Bound) -> type[Law]:
 
 @cache
 def _made(law: type[Law], at: Bound) -> type[Law]:
-    name = joined_name(law.name, at.name)
-    own: dict[str, Any] = {
-        "__module__": law.__module__,
-        "__qualname__": joined_name(law.__qualname__, at.name),
-        "__doc__": law.__doc__,
-        "name": name,
-        "law": law,
-        "at": at,
-        "port": at.port if law.port is Port.FORCE else law.port,
-        "PARAMETERS": _in_units(law._declared, at),
-        "sentence": law._sentence.replace("{it}", at.words),
-        "includes": tuple(joined_name(simple, at.name) for simple in law.includes),
-        "relative": {
-            k: joined_name(kind, at.name) if kind in _SIZES else kind for k, kind in law.relative.items()
-        },
-    }
-    if law.reads_load:
-        own["quantities"] = {**law.quantities, at.load: 1}
-    return type(name, (law,), own)
+    return type_at(
+        at.name,
+        law,
+        (law,),
+        law=law,
+        at=at,
+        port=at.port if law.port is Port.FORCE else law.port,
+        PARAMETERS=_in_units(law._declared, at),
+        sentence=law._sentence.replace("{it}", at.words),
+        quantities={**law.quantities, **({at.load: 1} if law.reads_load else {})},
+    )
 
 
-_SIZES = ("position", "speed")
+def type_at(place: str, effect: type[Effect], bases: tuple[type, ...], **own: Any) -> type[Any]:
+    """The class of an effect in one place: what it includes and sizes of the data that it asks for are those there."""
+
+    def there(name: str) -> str:
+        return joined_name(name, place)
+
+    sizes = {k: there(kind) if kind in _OF_PLACES else kind for k, kind in effect.relative.items()}
+    what: dict[str, Any] = {"__module__": effect.__module__, "__doc__": effect.__doc__, "relative": sizes}
+    names = {"__qualname__": there(effect.__qualname__), "name": there(effect.name)}
+    includes = tuple(there(simple) for simple in effect.includes)
+    return type(names["name"], bases, {**what, **names, "includes": includes, **own})
+
+
+_OF_PLACES = ("position", "speed", "input")
 
 
 def unplaced(law: type[Law], coordinate: str) -> type[Law]:

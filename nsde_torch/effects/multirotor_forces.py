@@ -1,11 +1,10 @@
 """Forces and moments on a multirotor: drag, thrust, frame, motors."""
 
-from typing import final
-
 import torch
 from torch import Tensor
 
 from nsde_torch.columns import columns, split_columns, stack_columns
+from nsde_torch.effects.actuators import EfficiencyLoss, Lag
 from nsde_torch.effects.base import Effect, Parameter, Port, elapsed
 from nsde_torch.effects.forces import HiddenSwing
 from nsde_torch.rotation import axis_up, cross, euler_coupling, matrix, rate_products, rotate_back, turned
@@ -20,11 +19,9 @@ def body_velocity(x: Tensor) -> Tensor:
     return rotate_back(q, v)
 
 
-@final
 class LinearDrag(Effect):
     """Rotor drag: in proportion to body velocity, one coefficient per axis."""
 
-    name = "linear_drag"
     port = Port.BODY_FORCE
     formula = "-d * v_body"
     source = "Faessler, Franchi, Scaramuzza, IEEE RA-L 3 (2018)"
@@ -38,11 +35,9 @@ class LinearDrag(Effect):
         return -self.value("drag") * body_velocity(x)
 
 
-@final
 class QuadraticDrag(Effect):
     """Body drag: in proportion to speed times body velocity."""
 
-    name = "quadratic_drag"
     port = Port.BODY_FORCE
     formula = "-d * |v| v_body"
     source = "aerodynamic drag of a bluff body"
@@ -57,14 +52,12 @@ class QuadraticDrag(Effect):
         return -self.value("drag") * v * torch.sqrt((v * v).sum(1, keepdim=True) + 1e-12)
 
 
-@final
 class RotorDrag(Effect):
     """Drag of the rotors alone: in proportion to their speed, and to body velocity.
 
     Near hover it is a linear drag, which is preferred where the data do not tell.
     """
 
-    name = "rotor_drag"
     port = Port.BODY_FORCE
     quantities = {"thrust": 1}
     formula = "-d * sqrt(T / g) v_body"
@@ -87,11 +80,9 @@ class RotorDrag(Effect):
         return -self.value("drag") * speed * body_velocity(x)
 
 
-@final
 class TranslationalLift(Effect):
     """More thrust in forward flight, where the rotors meet air that has not been moved yet."""
 
-    name = "translational_lift"
     port = Port.BODY_FORCE
     formula = "k (v_x^2 + v_y^2), along body z"
     source = "Svacha, Mohta, Kumar, ICUAS (2017), eq. of thrust with k_h"
@@ -108,14 +99,12 @@ class TranslationalLift(Effect):
         return stack_columns((torch.zeros_like(lift), torch.zeros_like(lift), lift))
 
 
-@final
 class TrackedPoint(Effect):
     """Position and velocity are those of a point beside the centre of mass: an IMU, a reflector.
 
     A point at r in the body has the velocity v + R (omega x r), whose derivative is that of v with what turning adds.
     """
 
-    name = "tracked_point"
     port = Port.BODY_FORCE
     quantities = {"angular_acceleration": 3}
     formula = "domega/dt x r + omega x (omega x r)"
@@ -137,11 +126,9 @@ class TrackedPoint(Effect):
         return cross(self.channel("angular_acceleration", u), r) + cross(omega, cross(omega, r))
 
 
-@final
 class ConstantWind(Effect):
     """Rotor drag in air that moves: in proportion to the velocity relative to the air."""
 
-    name = "constant_wind"
     port = Port.BODY_FORCE
     formula = "-d * R^T (v - w)"
     source = "Tomic, Schmid, Lutz, Mathers, Haddadin, IROS (2016): drag on the velocity relative to the air"
@@ -162,28 +149,6 @@ class ConstantWind(Effect):
         return -self.value("drag") * rotate_back(x[:, 6:10], x[:, 3:6] - air)
 
 
-class ConstantWorldForce(Effect):
-    """A force that never changes in the world, as a cable's."""
-
-    name = "constant_world_force"
-    port = Port.WORLD_FORCE
-    needs = (Port.BODY_FORCE,)
-    formula = "c"
-    source = "a lasting disturbance force; Tomic, Ott, Haddadin, IEEE T-RO 33 (2017)"
-    PARAMETERS = {
-        "acceleration": Parameter((0.0, 0.0, 0.0), "m/s2", scale=0.1, help="force over mass, east north up")
-    }
-    amplitudes = ("acceleration",)
-    sentence = "A force that never changes pushes with {acceleration} to east, north and up."
-    separate = (
-        "hover with the nose in several directions: a force of the world stays, one of the body turns with it"
-    )
-
-    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        return self.value("acceleration").expand(x.shape[0], 3)
-
-
-@final
 class SlungLoad(HiddenSwing):
     """A load on a cable below the centre of mass that is not in the log; it swings by small angles.
 
@@ -191,7 +156,6 @@ class SlungLoad(HiddenSwing):
     Of m y'' the machine feels what the thrust that is counted in T does not give: nothing where it hovers level.
     """
 
-    name = "slung_load"
     port = Port.WORLD_FORCE
     needs = (Port.BODY_FORCE,)
     quantities = {"thrust": 1}
@@ -212,15 +176,13 @@ class SlungLoad(HiddenSwing):
     separate = "fly to and fro at the pace at which it swings, and at half and twice that"
 
     def swing(self) -> Tensor:
-        """See `HiddenSwing`."""
         return (GRAVITY / self.value("length")).sqrt()
 
     def velocity(self, x: Tensor) -> Tensor:
-        """See `HiddenSwing`: to east and north."""
+        # to east and north
         return x[:, 3:5]
 
     def acceleration(self, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        """See `HiddenSwing`."""
         ahead, speed = memory.split(2, 1)
         rub = 2.0 * self.value("damping") * self.swing()
         return -self._lift(x, u)[:, 2:] / self.value("length") * ahead - rub * (speed - self.velocity(x))
@@ -234,11 +196,29 @@ class SlungLoad(HiddenSwing):
         return torch.cat((pull, torch.zeros_like(pull[:, :1])), 1)
 
 
-@final
+class ConstantWorldForce(Effect):
+    """A force that never changes in the world, as a cable's."""
+
+    port = Port.WORLD_FORCE
+    needs = (Port.BODY_FORCE,)
+    formula = "c"
+    source = "a lasting disturbance force; Tomic, Ott, Haddadin, IEEE T-RO 33 (2017)"
+    PARAMETERS = {
+        "acceleration": Parameter((0.0, 0.0, 0.0), "m/s2", scale=0.1, help="force over mass, east north up")
+    }
+    amplitudes = ("acceleration",)
+    sentence = "A force that never changes pushes with {acceleration} to east, north and up."
+    separate = (
+        "hover with the nose in several directions: a force of the world stays, one of the body turns with it"
+    )
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        return self.value("acceleration").expand(x.shape[0], 3)
+
+
 class GroundEffect(Effect):
     """More thrust near the ground, which is where p_z = 0."""
 
-    name = "ground_effect"
     port = Port.BODY_FORCE
     quantities = {"thrust": 1}
     formula = "T a / (p_z^2 + h^2), along body z"
@@ -262,11 +242,9 @@ class GroundEffect(Effect):
         return torch.cat((torch.zeros_like(lift), torch.zeros_like(lift), lift), 1)
 
 
-@final
 class ThrustMisalignment(Effect):
     """The thrust axis is tilted against the body axis of the log."""
 
-    name = "thrust_misalignment"
     port = Port.BODY_FORCE
     quantities = {"thrust": 1}
     formula = "T (a_x, a_y, 0)"
@@ -293,11 +271,9 @@ class ThrustMisalignment(Effect):
 # with the products of omega_m = R omega_log and c of the inertia (`systems.multirotor`).
 
 
-@final
 class FrameMisalignment(Effect):
     """The axes of the log are turned against those of the machine."""
 
-    name = "frame_misalignment"
     port = Port.BODY_WRENCH
     quantities = {"thrust": 1, "angular_acceleration": 3, "inertia": 2}
     formula = "R^T (T e_z, a) - (T e_z, a), R = exp(turn)"
@@ -329,15 +305,12 @@ class FrameMisalignment(Effect):
 #
 # Blade flapping and rotor gyroscopics: Mahony, Kumar, Corke, "Multirotor aerial vehicles", IEEE Robotics and
 # Automation Magazine 19 (2012).
-
 TUTORIAL = "Mahony, Kumar, Corke, IEEE Robotics and Automation Magazine 19 (2012)"
 
 
-@final
 class AngularDamping(Effect):
     """A moment against the body rates."""
 
-    name = "angular_damping"
     port = Port.BODY_MOMENT
     formula = "-d * omega"
     source = "blade flapping and inflow, first order in the rates"
@@ -350,11 +323,9 @@ class AngularDamping(Effect):
         return -self.value("damping") * x[:, 10:13]
 
 
-@final
 class ComOffset(Effect):
     """The centre of mass lies off the axis of the thrust, which then turns the machine."""
 
-    name = "com_offset"
     port = Port.BODY_MOMENT
     quantities = {"thrust": 1}
     formula = "T (-o_y, o_x, 0), o = c m / J"
@@ -374,11 +345,9 @@ class ComOffset(Effect):
         return stack_columns((-o_y * thrust, o_x * thrust, torch.zeros_like(thrust)))
 
 
-@final
 class GyroscopicMoment(Effect):
     """Spinning rotors resist a change of their axis; what they carry together is what the yaw commands leave over."""
 
-    name = "gyroscopic_moment"
     port = Port.BODY_MOMENT
     quantities = {"spin": 1}
     # a sum of the commands themselves left three laws of rates and yaw command beside it, in two simulators
@@ -403,11 +372,9 @@ class GyroscopicMoment(Effect):
         return stack_columns((about_x * spin * wy, -about_y * spin * wx, torch.zeros_like(wx)))
 
 
-@final
 class FlappingMoment(Effect):
     """Blades that flap in the wind of flight tilt the machine away from where it goes."""
 
-    name = "flapping_moment"
     port = Port.BODY_MOMENT
     formula = "(f_x v_y, -f_y v_x, 0)"
     source = TUTORIAL
@@ -426,7 +393,6 @@ class FlappingMoment(Effect):
         return stack_columns((f_x * v_y, -f_y * v_x, torch.zeros_like(v_x)))
 
 
-@final
 class InertiaCoupling(Effect):
     """Products of inertia: the principal axes are not the body axes of the log.
 
@@ -435,7 +401,6 @@ class InertiaCoupling(Effect):
         J^-1 (M - omega x J omega) = a - D^-1 (P a + omega x P omega),     a = D^-1 (M - omega x D omega)
     """
 
-    name = "inertia_coupling"
     port = Port.BODY_MOMENT
     quantities = {"angular_acceleration": 3, "inertia": 2}
     formula = "-D^-1 (P a + omega x P omega), P off the diagonal of J / Jz"
@@ -468,17 +433,29 @@ class InertiaCoupling(Effect):
 #
 # A command u_i in [0, 1] is a share of thrust here, so that thrust and moments of the motor change together.
 
-_MULTIROTOR = (Port.BODY_MOMENT,)
+
+class MotorLag(Lag):
+    """Motors follow their command with a first-order lag; each carries one state."""
+
+    source = "first-order motor and ESC dynamics"
+    needs = (Port.BODY_MOMENT,)
+    sentence = "The motors follow their commands late, with a time constant of {time_constant}."
 
 
-@final
+class MotorEfficiencyLoss(EfficiencyLoss):
+    """Single motors give less than the others: a chipped propeller, a worn bearing."""
+
+    needs = (Port.BODY_MOMENT,)
+    sentence = "Motors have lost {loss} of their strength (one number per motor, in their order)."
+    separate = "climb, sink and yaw: a weak motor shows in the moments about all axes at once"
+
+
 class ThrustSag(Effect):
     """Thrust per command falls with time, as a battery empties."""
 
-    name = "thrust_sag"
     drifts = True
     port = Port.INPUT
-    needs = _MULTIROTOR
+    needs = (Port.BODY_MOMENT,)
     formula = "u_eff = u (1 - r t)"
     source = "falling battery voltage, first order in time"
     PARAMETERS = {"rate": Parameter(0.0005, "1/s", low=0.0, scale=0.001, help="share lost per second")}
@@ -490,16 +467,14 @@ class ThrustSag(Effect):
         return -(self.value("rate") * elapsed(t, x)).to(u.dtype) * u
 
 
-@final
 class SupplySag(Effect):
     """All motors give less the more they draw together: the voltage of the battery drops with its current.
 
     It drops within milliseconds, where a voltage is logged a few times a second.
     """
 
-    name = "supply_sag"
     port = Port.INPUT
-    needs = _MULTIROTOR
+    needs = (Port.BODY_MOMENT,)
     formula = "u_eff = u (1 - k mean(u))"
     source = "internal resistance of the battery, first order in the current"
     PARAMETERS = {
@@ -521,13 +496,11 @@ REFERENCE = 16.0
 """Voltage at which thrust per command is what the declared gains say, of larger packs [V] (four cells)."""
 
 
-@final
 class BatteryVoltage(Effect):
     """Thrust per command follows the logged voltage of the battery."""
 
-    name = "battery_voltage"
     port = Port.INPUT
-    needs = _MULTIROTOR
+    needs = (Port.BODY_MOMENT,)
     exogenous = ("battery_voltage",)
     formula = "u_eff = u (1 + s (V - V_0))"
     source = "motor speed follows the voltage at a given duty; first order around 4 V (one cell), 8 V (two) or 16 V"
@@ -546,13 +519,27 @@ class BatteryVoltage(Effect):
         return self.value("sensitivity") * (voltage - reference) * u[:, : u.shape[1] - 1]
 
 
-@final
+class ThrustCurve(Effect):
+    """Thrust is not proportional to the command: a second degree of the thrust map."""
+
+    port = Port.INPUT
+    needs = (Port.BODY_MOMENT,)
+    formula = "u_eff = u + c u^2"
+    source = "supplement eq. 4: thrust map as a polynomial of the command"
+    PARAMETERS = {"curvature": Parameter(0.0, "1", scale=0.1, help="second coefficient over the first")}
+    amplitudes = ("curvature",)
+    sentence = "Thrust grows with {curvature} times the square of the command beside the command itself."
+    separate = "climb and sink hard, for commands far from hover"
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        return self.value("curvature") * u * u
+
+
 class AxialInflow(Effect):
     """Rotors that climb through the air give less thrust, and more where they sink."""
 
-    name = "axial_inflow"
     port = Port.INPUT
-    needs = _MULTIROTOR
+    needs = (Port.BODY_MOMENT,)
     formula = "u_eff = u (1 - k v_z), v_z in the body"
     source = (
         "momentum theory in axial flight; Leishman, Principles of Helicopter Aerodynamics (2006), chapter 2"
@@ -566,21 +553,3 @@ class AxialInflow(Effect):
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         return -self.value("loss") * body_velocity(x)[:, 2:] * u
-
-
-@final
-class ThrustCurve(Effect):
-    """Thrust is not proportional to the command: a second degree of the thrust map."""
-
-    name = "thrust_curve"
-    port = Port.INPUT
-    needs = _MULTIROTOR
-    formula = "u_eff = u + c u^2"
-    source = "supplement eq. 4: thrust map as a polynomial of the command"
-    PARAMETERS = {"curvature": Parameter(0.0, "1", scale=0.1, help="second coefficient over the first")}
-    amplitudes = ("curvature",)
-    sentence = "Thrust grows with {curvature} times the square of the command beside the command itself."
-    separate = "climb and sink hard, for commands far from hover"
-
-    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        return self.value("curvature") * u * u

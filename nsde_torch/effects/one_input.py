@@ -9,12 +9,12 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from torch import Tensor
 
 from nsde_torch.effects.base import Effect, Port, in_row
-from nsde_torch.effects.law import joined_name
+from nsde_torch.effects.law import type_at
 
 
 @dataclass(frozen=True)
@@ -53,15 +53,12 @@ class OnOneInput(Effect):
         return in_row(own, self.at.column, self.at.of)
 
     def memory_rate(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        """See `Effect.memory_rate`."""
         return super().memory_rate(t, x, self._own(u), memory)
 
     def held(self, u: Tensor, dt: float) -> Tensor | None:
-        """See `Effect.held`."""
         return super().held(self._own(u), dt)
 
     def memory_start(self, x: Tensor, u: Tensor) -> Tensor:
-        """See `Effect.memory_start`."""
         return super().memory_start(x, self._own(u))
 
     def _own(self, u: Tensor) -> Tensor:
@@ -72,22 +69,9 @@ class OnOneInput(Effect):
 def on_input(effect: type[Effect], at: Input) -> type[Effect]:
     """The effect on one input alone, with its unit."""
     units = {k: replace(p, unit=in_unit(p.unit, at.unit)) for k, p in effect.PARAMETERS.items()}
-    own: dict[str, Any] = {
-        "__module__": effect.__module__,
-        "__qualname__": joined_name(effect.__qualname__, at.name),
-        "__doc__": effect.__doc__,
-        "name": joined_name(effect.name, at.name),
-        "at": at,
-        "of_all": effect,
-        "PARAMETERS": units,
-        "null": effect.null,
-        "relative": {
-            k: joined_name(kind, at.name) if kind == "input" else kind for k, kind in effect.relative.items()
-        },
-        "includes": tuple(joined_name(simple, at.name) for simple in effect.includes),
-        "sentence": f"On {at.name} alone: {effect.sentence}",
-    }
-    return type(own["name"], (OnOneInput, effect), own)
+    sentence = f"On {at.name} alone: {effect.sentence}"
+    own = {"at": at, "of_all": effect, "PARAMETERS": units, "sentence": sentence}
+    return type_at(at.name, effect, (OnOneInput, effect), **own)
 
 
 def in_unit(unit: str, of_input: str) -> str:

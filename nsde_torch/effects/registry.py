@@ -7,9 +7,9 @@ input of several with that, `actuator_lag[rudder]`.
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
-from nsde_torch.effects import actuators, cartpole, forces, friction, multirotor_forces
+from nsde_torch.effects import actuators, by_run, cartpole, forces, friction, multirotor_forces, steady
 from nsde_torch.effects.base import Effect, Port
-from nsde_torch.effects.by_run import BY_RUN, RunPeriodicForce, difference_class, target_of
+from nsde_torch.effects.by_run import BY_RUN, difference_class, target_of
 from nsde_torch.effects.coordinates import STORE, Bound
 from nsde_torch.effects.expression import Expression, unplaced_expression
 from nsde_torch.effects.expression_grammar import is_law
@@ -20,77 +20,13 @@ from nsde_torch.lookup import class_by_name, did_you_mean
 
 EFFECTS: dict[str, type[Effect]] = {
     cls.name: cls
-    for cls in (
-        # laws of one coordinate, of any system that has coordinates
-        forces.ConstantForce,
-        forces.PeriodicForce,
-        RunPeriodicForce,
-        friction.CoulombFriction,
-        friction.AsymmetricFriction,
-        friction.StribeckFriction,
-        friction.ViscousFriction,
-        friction.QuadraticDamping,
-        friction.PositionDependentFriction,
-        friction.LoadFriction,
-        forces.LinearSpring,
-        forces.CubicStiffness,
-        forces.HiddenMass,
-        forces.AddedInertia,
-        forces.Viscoelasticity,
-        forces.Relaxation,
-        forces.Exchange,
-        forces.DriftVelocity,
-        friction.Hysteresis,
-        forces.Ripple,
-        forces.StopAbove,
-        forces.StopBelow,
-        forces.LinkWeight,
-        forces.GravityTorque,
-        forces.PositionBias,
-        # the input of any system
-        actuators.InputDelay,
-        actuators.ActuatorLag,
-        actuators.AsymmetricLag,
-        actuators.ActuatorRateLimit,
-        actuators.ActuatorResonance,
-        actuators.ActuatorDeadband,
-        actuators.AsymmetricDeadband,
-        actuators.AsymmetricGain,
-        actuators.ActuatorSaturation,
-        actuators.AsymmetricSaturation,
-        friction.InputPlay,
-        actuators.ActuatorEfficiencyLoss,
-        actuators.ActuatorGainDrift,
-        # cart and pole
-        cartpole.TrackTilt,
-        cartpole.PoleGravity,
-        # multirotors
-        multirotor_forces.LinearDrag,
-        multirotor_forces.QuadraticDrag,
-        multirotor_forces.RotorDrag,
-        multirotor_forces.TranslationalLift,
-        multirotor_forces.TrackedPoint,
-        multirotor_forces.ConstantWind,
-        multirotor_forces.SlungLoad,
-        multirotor_forces.ConstantWorldForce,
-        multirotor_forces.GroundEffect,
-        multirotor_forces.ThrustMisalignment,
-        multirotor_forces.FrameMisalignment,
-        multirotor_forces.AngularDamping,
-        multirotor_forces.ComOffset,
-        multirotor_forces.GyroscopicMoment,
-        multirotor_forces.FlappingMoment,
-        multirotor_forces.InertiaCoupling,
-        actuators.MotorLag,
-        actuators.MotorEfficiencyLoss,
-        multirotor_forces.ThrustSag,
-        multirotor_forces.SupplySag,
-        multirotor_forces.BatteryVoltage,
-        multirotor_forces.ThrustCurve,
-        multirotor_forces.AxialInflow,
-    )
+    for module in (steady, by_run, friction, forces, actuators, cartpole, multirotor_forces)
+    for cls in vars(module).values()
+    if isinstance(cls, type) and issubclass(cls, Effect) and cls.__module__ == module.__name__
+    # what others derive from has no sentence
+    if "sentence" in vars(cls) and cls.name not in BY_RUN
 }
-
+"""The catalogue: every effect of these modules that can be reported."""
 
 _OWN: dict[str, type[Effect]] = {}  # effects of the user's own that `register` made known
 
@@ -154,10 +90,6 @@ def effect_class(
         return difference_class(target_of(name))
     base, coordinate = split_name(name)
     cls = class_by_name(base, _known() | BY_RUN, Effect, kind="effect", home="nsde_torch.effects")
-    if not isinstance(getattr(cls, "name", None), str):
-        raise ConfigError(
-            f"effect {name!r} has no `name`. Write one into the class: name = {cls.__name__.lower()!r}."
-        )
     if not issubclass(cls, Law):
         return (
             cls if not coordinate else _on_one_input(cls, coordinate, None if coordinates is None else inputs)

@@ -15,17 +15,6 @@ from tests.helpers.commands import Said
 
 pytestmark = pytest.mark.usefixtures("elsewhere")
 
-NAMELESS = """
-from nsde_torch.effects import Effect, Port
-
-
-class Bare(Effect):
-    port, formula, source = Port.FORCE, "0", "a test"
-
-    def forward(self, t, x, u, memory):
-        return 0.0 * x[:, :1]
-"""
-
 
 @pytest.fixture(scope="module")
 def spring(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -98,15 +87,6 @@ def test_a_model_of_ones_own_machine_is_found_without_the_folder_of_its_module(
     assert "no module" not in refused(
         command, f"run={run}", "out=c.ts" if command == "export" else "threads=1"
     )
-
-
-def test_an_effect_without_a_name_is_refused_in_one_sentence(refused: Said) -> None:
-    Path("own").mkdir()
-    Path("own/bare_of_a_test.py").write_text(NAMELESS)
-    words = ["--config-dir", "own", "system=mass_spring_damper", "plant.effects=[bare_of_a_test:Bare]"]
-    error = refused("simulate", *words, "durations=[1]", "out=data")
-    assert "has no `name`" in error
-    assert "name = 'bare'" in error
 
 
 @pytest.mark.slow

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
+import tests.effects.test_by_run
 import tests.effects.test_effects_on_machines
 import tests.effects.test_formulas
 import tests.effects.test_lag
@@ -22,7 +23,6 @@ import torch
 from nsde_torch.effects import Effect, Parameter, Port
 
 class Cogging(Effect):
-    name = "cogging"
     port = Port.FORCE
     formula = "-c sin(2 pi q / p)"
     source = "teeth of a linear motor"

@@ -9,8 +9,8 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from nsde_torch.effects import Law, effect_class
-from nsde_torch.effects.forces import HiddenMass
-from nsde_torch.effects.friction import Hysteresis, InputPlay
+from nsde_torch.effects.actuators import InputPlay
+from nsde_torch.effects.forces import HiddenMass, Hysteresis
 from nsde_torch.effects.multirotor_forces import SlungLoad
 from nsde_torch.systems import make_system
 from tests.helpers.effect_contract import EffectContract, contract

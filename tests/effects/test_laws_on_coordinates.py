@@ -33,7 +33,6 @@ X = torch.tensor([[3.0, -0.5, 0.4, 0.2]])  # w2, w1, q2, q1
 
 
 class Teeth(Law):
-    name = "teeth"
     reads_position = True
     formula = "-c sin(2 pi q / p)"
     source = "a test"
@@ -47,24 +46,15 @@ class Teeth(Law):
 
 
 class Narrow(Effect):  # of width 1 on a port of width 2
-    name, port, formula, source = "narrow", Port.TORQUE, "1", "a test"
+    port, formula, source = Port.TORQUE, "1", "a test"
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         return x[:, :1]
 
 
 class Far(Narrow):  # reads columns that are not there
-    name = "far"
-
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         return x[:, [8, 9]]
-
-
-class Nameless(Effect):
-    port, formula, source = Port.TORQUE, "0", "a test"
-
-    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        return x[:, :2]
 
 
 class TestLoadFriction(EffectContract):
@@ -254,7 +244,6 @@ def test_a_law_of_ones_own_is_an_effect_on_every_coordinate() -> None:
         ("quadrotor", "coulomb_friction", ["does not act on", "Coordinate("]),
         (HOME, f"{__name__}:Narrow", ["1", "port 'torque'", "has 2", "Law"]),
         (HOME, f"{__name__}:Far", ["cannot be worked out", "w2, w1, q2, q1"]),
-        (HOME, f"{__name__}:Nameless", ["has no `name`", "name = 'nameless'"]),
     ],
 )
 def test_what_does_not_fit_is_refused_in_one_sentence(system: str, effect: str, words: list[str]) -> None:

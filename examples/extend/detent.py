@@ -8,7 +8,7 @@ It acts on the port `rate`, the rate of the whole state, which every system has.
 import torch
 from torch import Tensor
 
-from nsde_torch.effects import Effect, Parameter, Port
+from nsde_torch.effects import Effect, Parameter, Port, Size
 
 
 class Detent(Effect):
@@ -17,14 +17,9 @@ class Detent(Effect):
     port = Port.RATE
     formula = "-a sin(2 pi p / b)"
     source = "teeth of a linear motor"
-    PARAMETERS = {
-        "size": Parameter(0.0, "m/s2", scale=0.1, help="largest force over mass"),
-        "pitch": Parameter(0.05, "m", low=0.0, help="distance of the teeth"),
-    }
-
-    # A diagnosis starts its fits without the effect, at every point of a grid of pitches.
-    null = {"size": 0.0}
-    amplitudes = ("size",)
+    size = Size(0.0, "m/s2", scale=0.1, help="largest force over mass")
+    pitch = Parameter(0.05, "m", low=0.0, help="distance of the teeth")
+    # A diagnosis starts its fits without the effect (size 0), at every point of a grid of pitches.
     shapes = {"pitch": (0.025, 0.05, 0.1)}
     sentence = "The carriage is held with up to {size} every {pitch}."
     separate = "move slowly over several teeth"
@@ -32,5 +27,5 @@ class Detent(Effect):
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         """Rate of the state (N, nx): nothing but the velocity's is changed."""
         rate = torch.zeros_like(x)
-        rate[:, 1:2] = -self.value("size") * torch.sin(2.0 * torch.pi * x[:, :1] / self.value("pitch"))
+        rate[:, 1:2] = -self.size * torch.sin(2.0 * torch.pi * x[:, :1] / self.pitch)
         return rate

@@ -7,19 +7,19 @@ An effect of your own is a class in a file of yours, named `module:Class` wherev
         reads_position = True
         formula = "-c sin(2 pi q / p)"
         source = "teeth of a linear motor"
-        PARAMETERS = {"size": Parameter(0.0, "force", scale=0.1, help="largest force"),
-                      "pitch": Parameter(0.05, "position", low=0.0, help="distance of the teeth")}
-        null, amplitudes, shapes = {"size": 0.0}, ("size",), {"pitch": (0.02, 0.05, 0.1)}
+        size = Size(0.0, "force", scale=0.1, help="largest force")
+        pitch = Parameter(0.05, "position", low=0.0, help="distance of the teeth")
+        shapes = {"pitch": (0.02, 0.05, 0.1)}
         sentence = "The teeth hold {it} with up to {size} every {pitch}."
 
         def term(self, t, x, u, memory):
-            return -self.value("size") * torch.sin(2 * torch.pi * self.q(x) / self.value("pitch"))
+            return -self.size * torch.sin(2 * torch.pi * self.q(x) / self.pitch)
 
 It is a law of one coordinate, and so an effect on every coordinate of a machine: `my_effects:Cogging[q2]`. A term that
 is no such law derives from `Effect` and has a `port` and `forward`.
 
-`nsde diagnose also=[my_effects:Cogging]` tries it beside the catalogue: fits start from `null` at every point of the
-grid `shapes`, and `amplitudes` are what is nothing without it.
+`nsde diagnose also=[my_effects:Cogging]` tries it beside the catalogue: fits start without it, where each `Size` is 0
+(or from `null`, where it says that), at every point of the grid `shapes`.
 """
 
 from typing import TYPE_CHECKING
@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING
 from nsde_torch.lazy import names, resolver
 
 if TYPE_CHECKING:
-    from nsde_torch.effects.base import Effect, Parameter, Parametrised, Port
+    from nsde_torch.effects.base import Effect, Parameter, Parametrised, Port, Size
     from nsde_torch.effects.coordinates import Coordinate
     from nsde_torch.effects.law import Law
     from nsde_torch.effects.registry import (

@@ -12,7 +12,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from nsde_torch.effects.base import Effect, Parameter, Port, elapsed
+from nsde_torch.effects.base import Effect, Parameter, Port, Size, elapsed
 
 BOOK = "Tao, Kokotovic, Adaptive Control of Systems with Actuator and Sensor Nonlinearities (1996)"
 FLYING = ("hexacopter", "quadrotor")
@@ -85,7 +85,7 @@ class InputDelay(InputMemory):
     whole_steps = True
     formula = "u_eff(t) = u(t - T), by a rational approximation"
     source = "Pade approximant [1/2] of exp; Golub, Van Loan, Matrix Computations, section 9.3"
-    PARAMETERS = {"delay": Parameter(0.02, "s", low=0.001, scale=0.02, help="time from log to effect")}
+    delay = Parameter(0.02, "s", low=0.001, scale=0.02, help="time from log to effect")
     null = {"delay": 0.0}
     # a delay by another whole number of steps is another input: what is tried must lie within a step of the truth
     shapes = {"delay": (0.5, 1.5, 2.5, 3.5, 4.5, 6.0, 8.0, 11.0, 15.0, 20.0)}
@@ -97,14 +97,14 @@ class InputDelay(InputMemory):
         a, b = memory[:, : self.n_inputs] - self.own(u), memory[:, self.n_inputs :]
         if not self.step:
             return a - b / 3.0
-        steps = self.value("delay") / self.step
+        steps = self.delay / self.step
         da, db = _solved(steps, a, b)
         shifted = steps.clamp_max(1.0) * (a + b / 6.0) - _beyond(steps).square() * b
         return torch.where(steps < 2.0, shifted, -steps * (da + db / 6.0))
 
     def memory_rate(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         a, b = memory[:, : self.n_inputs] - self.own(u), memory[:, self.n_inputs :]
-        delay = self.value("delay")
+        delay = self.delay
         if not self.step:
             return torch.cat((b, -6.0 * a - 4.0 * b), 1) / delay
         steps = delay / self.step
@@ -113,7 +113,7 @@ class InputDelay(InputMemory):
         return torch.where(steps < 2.0, shifted, torch.cat(_solved(steps, a, b), 1)) / self.step
 
     def held(self, u: Tensor, dt: float) -> Tensor:
-        steps = float(self.value("delay")) / dt
+        steps = float(self.delay) / dt
         whole = floor(steps)
         rows = torch.arange(len(u), device=u.device) - whole
         now, before = u[rows.clamp_min(0), : self.n_inputs], u[(rows - 1).clamp_min(0), : self.n_inputs]
@@ -177,19 +177,19 @@ class Lag(_AnyLag):
     """A first-order lag on every input."""
 
     formula = "u_eff = m, dm/dt = (u - m) / tau"
-    PARAMETERS = {"time_constant": Parameter(0.05, "s", low=0.002, help="time to reach 63 %")}
+    time_constant = Parameter(0.05, "s", low=0.002, help="time to reach 63 %")
     null = {"time_constant": 0.0}
     shapes = {"time_constant": (0.02, 0.06, 0.2)}
     resolved = {"time_constant": 0.5}  # Runge-Kutta 4 is stable up to 2.8 time constants a step
 
     def _time_constant(self, late: Tensor) -> Tensor:
-        return self.value("time_constant")
+        return self.time_constant
 
     def held(self, u: Tensor, dt: float) -> Tensor:
         from scipy.signal import lfilter  # half a second to import, and only identification needs it
 
         own = self.own(u)
-        ratio = float(self.value("time_constant")) / dt
+        ratio = float(self.time_constant) / dt
         stays = exp(-1.0 / ratio)
         above = (own - own[:1]).numpy()  # it starts at rest at the first input
         memory = own[:1] + torch.from_numpy(lfilter([0.0, 1.0 - stays], [1.0, -stays], above, axis=0)).to(own)
@@ -219,10 +219,8 @@ class AsymmetricLag(_AnyLag):
     each_input = True
     formula = "u_eff = m, dm/dt = (u - m) / (tau_rising if u > m else tau_falling)"
     source = "time constants up and down of motors in simulators (Furrer et al., RotorS, 2016)"
-    PARAMETERS = {
-        "rising": Parameter(0.05, "s", low=0.002, help="time to reach 63 % of a higher input"),
-        "falling": Parameter(0.05, "s", low=0.002, help="time to reach 63 % of a lower input"),
-    }
+    rising = Parameter(0.05, "s", low=0.002, help="time to reach 63 % of a higher input")
+    falling = Parameter(0.05, "s", low=0.002, help="time to reach 63 % of a lower input")
     null = {"rising": 0.0, "falling": 0.0}
     shapes = {"rising": (0.02, 0.06, 0.2), "falling": (0.02, 0.06, 0.2)}
     resolved = {"rising": 0.5, "falling": 0.5}
@@ -241,7 +239,7 @@ class AsymmetricLag(_AnyLag):
         return [one for one in super().starts(sizes, frequencies) if one["rising"] == one["falling"]]
 
     def _time_constant(self, late: Tensor) -> Tensor:
-        return torch.where(late > 0, self.value("rising"), self.value("falling"))
+        return torch.where(late > 0, self.rising, self.falling)
 
     def held(self, u: Tensor, dt: float) -> Tensor:
         from nsde_torch.effects.recursions import two_lags
@@ -266,9 +264,7 @@ class ActuatorRateLimit(_AnyLag):
     # it stops where it meets the command; at an instant, without a step, it nears it with a time constant of 10 ms
     jumps = True
     excludes = (Port.BODY_MOMENT,)  # motors follow by a lag
-    PARAMETERS = {
-        "rate": Parameter(10.0, "input/s", low=0.0, scale=1.0, help="fastest change that is followed")
-    }
+    rate = Parameter(10.0, "input/s", low=0.0, scale=1.0, help="fastest change that is followed")
     null = {"rate": NONE}
     shapes = {"rate": (1.0, 3.0, 10.0, 30.0)}
     relative = {"rate": "input"}
@@ -278,11 +274,11 @@ class ActuatorRateLimit(_AnyLag):
     )
 
     def _time_constant(self, late: Tensor) -> Tensor:
-        return (late.abs() / self.value("rate")).clamp_min(0.01)
+        return (late.abs() / self.rate).clamp_min(0.01)
 
     def _mean(self, late: Tensor, step: float) -> Tensor:
         """Mean over a step of how far memory is behind an input that it is so far behind at the start."""
-        steps = late.abs() / (self.value("rate") * step)  # that it takes to be there
+        steps = late.abs() / (self.rate * step)  # that it takes to be there
         return late * torch.where(steps > 1.0, 1.0 - 0.5 / steps.clamp_min(1.0), 0.5 * steps)
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
@@ -293,13 +289,13 @@ class ActuatorRateLimit(_AnyLag):
         late = self.own(u) - memory
         if not self.step:
             return late / self._time_constant(late)
-        return late.clamp(-self.value("rate") * self.step, self.value("rate") * self.step) / self.step
+        return late.clamp(-self.rate * self.step, self.rate * self.step) / self.step
 
     def held(self, u: Tensor, dt: float) -> Tensor:
         from nsde_torch.effects.recursions import rate_limited
 
         own = self.own(u)
-        memory = rate_limited(own.double().contiguous().numpy(), float(self.value("rate")) * dt)
+        memory = rate_limited(own.double().contiguous().numpy(), float(self.rate) * dt)
         return own - self._mean(own - torch.from_numpy(memory).to(own), dt)
 
 
@@ -319,10 +315,8 @@ class ActuatorResonance(InputMemory):
     excludes = (Port.BODY_MOMENT,)  # motors follow by a lag
     # it may move as a recording begins: of a servo at 1.5 Hz a hidden mass did what that did
     estimated = True
-    PARAMETERS = {
-        "period": Parameter(0.2, "s", low=0.002, scale=0.1, help="natural, without damping"),
-        "damping": Parameter(0.5, "1", low=0.005, high=1.0, scale=0.1, help="share of the critical one"),
-    }
+    period = Parameter(0.2, "s", low=0.002, scale=0.1, help="natural, without damping")
+    damping = Parameter(0.5, "1", low=0.005, high=1.0, scale=0.1, help="share of the critical one")
     null = {"period": 0.0}
     shapes = {"period": (8.0, 20.0, 60.0, 150.0), "damping": (0.1, 0.7)}
     relative = {"period": "step"}
@@ -341,8 +335,8 @@ class ActuatorResonance(InputMemory):
 
     def memory_rate(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         follows, rate = memory[:, : self.n_inputs], memory[:, self.n_inputs :]
-        w = 2.0 * pi / self.value("period")
-        pulled = self.own(u) - follows - 2.0 * self.value("damping") * rate
+        w = 2.0 * pi / self.period
+        pulled = self.own(u) - follows - 2.0 * self.damping * rate
         return torch.cat((w * rate, w * pulled), 1)
 
     def held(self, u: Tensor, dt: float) -> Tensor:
@@ -351,7 +345,7 @@ class ActuatorResonance(InputMemory):
 
         from nsde_torch.effects.recursions import second_order
 
-        w, damping = 2.0 * pi / float(self.value("period")), float(self.value("damping"))
+        w, damping = 2.0 * pi / float(self.period), float(self.damping)
         own = self.own(u).double().numpy()
         rates = np.zeros((4, 4))  # of what follows, its rate over w, the command and its slope
         rates[:2, :3] = [[0.0, w, 0.0], [-w, -2.0 * damping * w, w]]
@@ -365,9 +359,7 @@ class ActuatorDeadband(_Cut):
     around_zero = True
     each_input = True
     formula = "u_eff = u - clip(u, -w, w)"
-    PARAMETERS = {
-        "width": Parameter(0.1, "input", low=0.0, scale=0.1, help="smallest command that does something")
-    }
+    width = Parameter(0.1, "input", low=0.0, scale=0.1, help="smallest command that does something")
     null = {"width": 0.0}
     shapes = {"width": (0.05, 0.15, 0.4)}
     relative = {"width": "input"}
@@ -387,14 +379,12 @@ class AsymmetricDeadband(_Cut):
     around_zero = True
     excludes = (Port.BODY_MOMENT,)  # motors in flight are far above it
     formula = "u_eff = u - clip(u, -w-, w+)"
-    PARAMETERS = {
-        "width_forward": Parameter(
-            0.1, "input", low=0.0, scale=0.1, help="smallest positive command that does something"
-        ),
-        "width_backward": Parameter(
-            0.1, "input", low=0.0, scale=0.1, help="smallest negative command that does something, positive"
-        ),
-    }
+    width_forward = Parameter(
+        0.1, "input", low=0.0, scale=0.1, help="smallest positive command that does something"
+    )
+    width_backward = Parameter(
+        0.1, "input", low=0.0, scale=0.1, help="smallest negative command that does something, positive"
+    )
     null = {"width_forward": 0.0, "width_backward": 0.0}
     shapes = {"width_forward": (0.05, 0.2), "width_backward": (0.05, 0.2)}
     relative = {"width_forward": "input", "width_backward": "input"}
@@ -419,17 +409,14 @@ class AsymmetricGain(Effect):
     excludes = (Port.BODY_MOMENT,)  # commands of motors have one sign
     formula = "u_eff = u + a |u|"
     source = "the even part of a gain that depends on the sign of its input"
-    PARAMETERS = {
-        "asymmetry": Parameter(
-            0.0, "1", low=-0.9, high=0.9, scale=0.1, help="half the difference of the gains of both signs"
-        )
-    }
-    amplitudes = ("asymmetry",)
+    asymmetry = Size(
+        0.0, "1", low=-0.9, high=0.9, scale=0.1, help="half the difference of the gains of both signs"
+    )
     sentence = "Positive commands act 1 + {asymmetry} times, negative ones 1 - {asymmetry} times."
     separate = "give inputs of both signs and of several sizes, at rest in between"
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        return self.value("asymmetry") * u.abs()
+        return self.asymmetry * u.abs()
 
 
 class ActuatorSaturation(_Cut):
@@ -437,9 +424,7 @@ class ActuatorSaturation(_Cut):
 
     each_input = True
     formula = "u_eff = clip(u, -level, level)"
-    PARAMETERS = {
-        "level": Parameter(0.5, "input", low=0.0, scale=0.5, help="largest command that acts in full")
-    }
+    level = Parameter(0.5, "input", low=0.0, scale=0.5, help="largest command that acts in full")
     null = {"level": NONE}
     shapes = {"level": (0.5, 0.75, 0.95, 1.15)}  # above the quantile commands are rare, not absent
     relative = {"level": "input"}
@@ -455,14 +440,12 @@ class AsymmetricSaturation(_Cut):
 
     excludes = (Port.BODY_MOMENT,)  # commands of motors have one sign
     formula = "u_eff = clip(u, -level-, level+)"
-    PARAMETERS = {
-        "level_forward": Parameter(
-            0.5, "input", low=0.0, scale=0.5, help="largest positive command that acts in full"
-        ),
-        "level_backward": Parameter(
-            0.5, "input", low=0.0, scale=0.5, help="largest negative command that acts in full, positive"
-        ),
-    }
+    level_forward = Parameter(
+        0.5, "input", low=0.0, scale=0.5, help="largest positive command that acts in full"
+    )
+    level_backward = Parameter(
+        0.5, "input", low=0.0, scale=0.5, help="largest negative command that acts in full, positive"
+    )
     null = {"level_forward": NONE, "level_backward": NONE}
     shapes = {"level_forward": (0.5, 0.9), "level_backward": (0.5, 0.9)}
     relative = {"level_forward": "input", "level_backward": "input"}
@@ -485,7 +468,7 @@ class InputPlay(InputMemory):
     excludes = (Port.BODY_MOMENT,)  # rotors have none
     formula = "u_eff = m, |u - m| <= w"
     source = BOOK
-    PARAMETERS = {"half_gap": Parameter(0.1, "input", low=0.0, scale=0.1, help="half the play")}
+    half_gap = Parameter(0.1, "input", low=0.0, scale=0.1, help="half the play")
     null = {"half_gap": 0.0}
     shapes = {"half_gap": (0.05, 0.2, 0.5)}
     relative = {"half_gap": "input"}
@@ -498,7 +481,7 @@ class InputPlay(InputMemory):
     )
 
     def _taken_up(self, u: Tensor, memory: Tensor) -> Tensor:
-        own, gap = self.own(u), self.value("half_gap")
+        own, gap = self.own(u), self.half_gap
         return torch.minimum(torch.maximum(memory, own - gap), own + gap)
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
@@ -511,7 +494,7 @@ class InputPlay(InputMemory):
         from nsde_torch.effects.recursions import play
 
         own = self.own(u)
-        return torch.from_numpy(play(own.double().numpy(), float(self.value("half_gap").detach()))).to(own)
+        return torch.from_numpy(play(own.double().numpy(), float(self.half_gap.detach()))).to(own)
 
 
 class EfficiencyLoss(Effect):
@@ -520,15 +503,10 @@ class EfficiencyLoss(Effect):
     port = Port.INPUT
     formula = "u_eff,i = u_i (1 - l_i)"
     source = "actuator effectiveness factor; Zhang, Jiang, Annual Reviews in Control 32 (2008)"
-    PARAMETERS = {
-        "loss": Parameter(
-            1e-3, "1", low=-0.3, high=1.0, scale=0.1, help="share lost, one per input", per_input=True
-        )
-    }
-    amplitudes = ("loss",)
+    loss = Size(1e-3, "1", low=-0.3, high=1.0, scale=0.1, help="share lost, one per input", per_input=True)
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        return -self.value("loss") * u
+        return -self.loss * u
 
 
 class ActuatorEfficiencyLoss(EfficiencyLoss):
@@ -547,11 +525,10 @@ class ActuatorGainDrift(Effect):
     port = Port.INPUT
     formula = "u_eff = u (1 + r t)"
     source = "warming or wear of an actuator, first order in time"
-    PARAMETERS = {"rate": Parameter(0.0, "1/s", scale=0.01, help="relative change of strength per second")}
-    amplitudes = ("rate",)
+    rate = Size(0.0, "1/s", scale=0.01, help="relative change of strength per second")
     sentence = "The actuator's strength changes by {rate}, counted from the start of the clock."
     not_of = dict.fromkeys(FLYING, "thrust_sag is the same term")
     separate = "repeat the same inputs early and late in a long run"
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        return (self.value("rate") * elapsed(t, x)).to(u.dtype) * u
+        return (self.rate * elapsed(t, x)).to(u.dtype) * u

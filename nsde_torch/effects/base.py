@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from itertools import product
 from math import inf
-from typing import Any, ClassVar
+from typing import Any, ClassVar, overload
 
 import torch
 from torch import Tensor, nn
@@ -90,7 +90,11 @@ class Port(str, Enum):
 
 @dataclass(frozen=True)
 class Parameter:
-    """A physical parameter with bounds; the optimiser sees an unbounded number."""
+    """A physical parameter with bounds; the optimiser sees an unbounded number.
+
+    As an attribute of a class it is one of its `PARAMETERS`, and of an object its value: `drag = Parameter(...)`,
+    `self.drag`.
+    """
 
     initial: float | tuple[float, ...]  # first value, one number or one per axis, strictly inside the bounds
     unit: str
@@ -101,9 +105,26 @@ class Parameter:
     help: str = ""  # what it is, one line
     per_input: bool = False  # one number per input of the system; `initial` is then that of each
 
+    def __set_name__(self, owner: type, name: str) -> None:
+        if vars(self).setdefault("_name", name) != name:
+            raise TypeError(
+                f"{owner.__name__}: {name!r} and {vars(self)['_name']!r} are one Parameter; write two."
+            )
+
+    @overload
+    def __get__(self, at: None, of: type) -> Parameter: ...
+    @overload
+    def __get__(self, at: Parametrised, of: type) -> Tensor: ...
+    def __get__(self, at: Parametrised | None, of: type) -> Parameter | Tensor:
+        return self if at is None else at.value(vars(self)["_name"])
+
     def __deepcopy__(self, memo: dict[int, object]) -> Parameter:
         """Itself: nothing of it can change, and systems are copied by the hundred."""
         return self
+
+
+class Size(Parameter):
+    """A parameter that the term of an effect is linear in: without effect it is 0."""
 
 
 class Parametrised(nn.Module):
@@ -114,6 +135,17 @@ class Parametrised(nn.Module):
     """
 
     PARAMETERS: ClassVar[Mapping[str, Parameter]] = {}
+    """By name: those of the class, then those that it inherits. Written as attributes, or as one mapping of all."""
+    _declared: ClassVar[Mapping[str, Parameter]] = {}  # as they are written
+
+    def __init_subclass__(cls, **keywords: Any) -> None:
+        super().__init_subclass__(**keywords)
+        own = {name: spec for name, spec in vars(cls).items() if isinstance(spec, Parameter)}
+        if own or "PARAMETERS" in vars(cls):
+            cls._declared = own | {
+                k: p for k, p in vars(cls).get("PARAMETERS", cls._declared).items() if k not in own
+            }
+            cls.PARAMETERS = cls._declared
 
     def __init__(self, values: Mapping[str, float | list[float]] | None = None) -> None:
         super().__init__()
@@ -246,7 +278,7 @@ class Effect(Parametrised, ABC):
     null: ClassVar[Mapping[str, float]] = {}
     """Values at which it adds nothing (a bound may mean "arbitrarily close to"). Parameters left out are without effect
     at these values. Those of `amplitudes` are 0 unless it says otherwise."""
-    amplitudes: ClassVar[tuple[str, ...]] = ()  # parameters that the term is linear in
+    amplitudes: ClassVar[tuple[str, ...]] = ()  # parameters that the term is linear in: each `Size`
     shapes: ClassVar[Mapping[str, tuple[float | tuple[float, ...], ...]]] = {}
     """First values to try for parameters that it is not linear in; a vector parameter takes one number for all axes or
     a tuple."""
@@ -295,6 +327,9 @@ class Effect(Parametrised, ABC):
         super().__init_subclass__(**keywords)
         if "name" not in cls.__dict__:
             cls.name = re.sub(r"(?<=[^_])(?=[A-Z])", "_", cls.__name__).lower()
+        sizes = tuple(name for name, spec in cls.PARAMETERS.items() if isinstance(spec, Size))
+        if sizes and sizes != cls.amplitudes and "amplitudes" not in cls.__dict__:
+            cls.amplitudes = sizes
         if "amplitudes" in cls.__dict__ and "null" not in cls.__dict__:
             cls.null = dict.fromkeys(cls.amplitudes, 0.0)
 

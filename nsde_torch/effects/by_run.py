@@ -20,7 +20,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from nsde_torch.effects.base import Effect, Parameter, Port
+from nsde_torch.effects.base import Effect, Parameter, Port, Size
 from nsde_torch.effects.forces import PositionBias
 from nsde_torch.effects.multirotor_forces import ConstantWorldForce
 from nsde_torch.effects.steady import ConstantForce, PeriodicForce
@@ -131,7 +131,7 @@ class RunPeriodicForce(ByRun, PeriodicForce):
     source = "imbalance of a part that turns before a recording begins"
     PARAMETERS = {
         "waves": Parameter(0.0, "force", scale=0.1, help="sine, then cosine, in each run"),
-        "frequency": PeriodicForce._declared["frequency"],
+        "frequency": PeriodicForce.frequency,
     }
     amplitudes = ("waves",)
     includes = ("periodic_force",)
@@ -154,10 +154,7 @@ class RunDifference(ByRun):
     port = Port.PARAMETER
     formula = "theta + d_r in run r"
     source = "another load, battery, spring or propeller"
-    PARAMETERS = {
-        "change": Parameter(0.0, "1", scale=0.1, help="in each run but the reference, against that")
-    }
-    amplitudes = ("change",)
+    change = Size(0.0, "1", scale=0.1, help="in each run but the reference, against that")
     separate = "record a run of each kind again, in another order"
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:

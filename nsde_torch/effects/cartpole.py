@@ -8,7 +8,7 @@ the pole does not notice, and its angle counts from the normal of the track.
 import torch
 from torch import Tensor
 
-from nsde_torch.effects.base import Effect, Parameter, Port
+from nsde_torch.effects.base import Effect, Port, Size
 
 FLORIAN = "Florian, Correct equations for the dynamics of the cart-pole system (2007)"
 GRAVITY = 9.8
@@ -21,13 +21,12 @@ class TrackTilt(Effect):
     systems = ("cartpole",)
     formula = "-g s, s = sin(angle of the track)"
     source = "gravity along an incline, in the equations of " + FLORIAN
-    PARAMETERS = {"slope": Parameter(0.0, "1", scale=0.01, help="rise over length along the track")}
-    amplitudes = ("slope",)
+    slope = Size(0.0, "1", scale=0.01, help="rise over length along the track")
     sentence = "The track rises by {slope} of its length, so that cart and pole are pulled along it."
     separate = "leave it alone, at rest: a tilt moves cart and pole alike, a force on the cart tilts the pole"
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        return (-GRAVITY * self.value("slope")).expand(x.shape[0], 1)
+        return (-GRAVITY * self.slope).expand(x.shape[0], 1)
 
 
 class PoleGravity(Effect):
@@ -42,12 +41,9 @@ class PoleGravity(Effect):
     systems = ("cartpole",)
     formula = "c sin(theta), c = 3 (g - 9.8 m/s2) / (4 half_length)"
     source = "the gravity term of the equations of " + FLORIAN
-    PARAMETERS = {
-        "excess": Parameter(0.0, "1/s2", scale=0.02, help="by how much gravity turns the pole more")
-    }
-    amplitudes = ("excess",)
+    excess = Size(0.0, "1/s2", scale=0.02, help="by how much gravity turns the pole more")
     sentence = "Gravity turns the pole by {excess} times the sine of its angle more than 9.8 m/s2 does."
     separate = "let the pole swing freely, the cart held: how fast it swings tells gravity over its length"
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        return self.value("excess") * torch.sin(x[:, 2:3])
+        return self.excess * torch.sin(x[:, 2:3])

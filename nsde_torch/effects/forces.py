@@ -10,7 +10,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from nsde_torch.effects.base import Effect, Parameter, Port, in_row
+from nsde_torch.effects.base import Effect, Parameter, Port, Size, in_row
 from nsde_torch.effects.coordinates import KINDS, PLACE, STORE, Bound
 from nsde_torch.effects.law import Law
 
@@ -22,14 +22,13 @@ class LinearSpring(Law):
     kinds = ("rail", "joint")
     formula = "-k q"
     source = "supplement B: m q'' = -b q' - k q"
-    PARAMETERS = {"stiffness": Parameter(1.0, "force/position", low=0.0, help="spring constant")}
+    stiffness = Size(1.0, "force/position", low=0.0, help="spring constant")
     along = "position"
-    amplitudes = ("stiffness",)
     sentence = "A spring pulls {it} to the origin with {stiffness}."
     separate = "push at several amplitudes"
 
     def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        return -self.value("stiffness") * self.q(x)
+        return -self.stiffness * self.q(x)
 
 
 class CubicStiffness(Law):
@@ -39,15 +38,14 @@ class CubicStiffness(Law):
     kinds = ("rail", "joint")
     formula = "-k q^3"
     source = "Duffing (1918)"  # Erzwungene Schwingungen bei veraenderlicher Eigenfrequenz
-    PARAMETERS = {"stiffness": Parameter(0.0, "force/position3", scale=1.0, help="cubic constant")}
+    stiffness = Size(0.0, "force/position3", scale=1.0, help="cubic constant")
     along = "position"
-    amplitudes = ("stiffness",)
     sentence = "A spring against {it} changes with extension: a force of {stiffness} times the cube of it."
     separate = "push at several amplitudes, far beyond the usual ones"
 
     def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         q = self.q(x)
-        return -self.value("stiffness") * q * q * q
+        return -self.stiffness * q * q * q
 
 
 class HiddenSwing(Effect):
@@ -56,7 +54,7 @@ class HiddenSwing(Effect):
     y'' = w^2 (q - y) + 2 d w (q' - y');  memory holds y - q and y', in one or two directions.
     """
 
-    RATIO: ClassVar[Parameter] = Parameter(
+    damping = Parameter(
         0.1, "1", low=0.005, high=1.0, scale=0.05, help="damping, as a ratio to the critical one"
     )
     ways: ClassVar[int] = 1  # directions
@@ -82,7 +80,7 @@ class HiddenSwing(Effect):
     def acceleration(self, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         """y'' (N, ways)."""
         w, (ahead, speed) = self.swing(), memory.split(self.ways, 1)
-        return -w * (w * ahead + 2.0 * self.value("damping") * (speed - self.velocity(x)))
+        return -w * (w * ahead + 2.0 * self.damping * (speed - self.velocity(x)))
 
     def memory_rate(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         return torch.cat((memory[:, self.ways :] - self.velocity(x), self.acceleration(x, u, memory)), 1)
@@ -94,7 +92,7 @@ class HiddenSwing(Effect):
 
         from nsde_torch.effects.recursions import second_order
 
-        w, damping = float(self.swing().detach()), float(self.value("damping").detach())
+        w, damping = float(self.swing().detach()), float(self.damping.detach())
         rub = 2.0 * damping * w
         # rates of [ahead, speed, velocity, its slope]
         rates = np.array([[0, 1, -1, 0], [-w * w, -rub, rub, 0], [0, 0, 0, 1], [0, 0, 0, 0]])
@@ -113,14 +111,8 @@ class HiddenMass(HiddenSwing, Law):
 
     formula = "-m y'', y'' = w^2 (q - y) + 2 d w (v - y'), w = 2 pi f"
     source = "the absorber of den Hartog, Mechanical Vibrations (1934)"
-    PARAMETERS = {
-        "mass": Parameter(0.1, "force s/speed", low=0.0, help="hidden mass (over mass, where forces are)"),
-        "frequency": Parameter(
-            1.0, "Hz", low=0.05, high=20.0, scale=0.5, help="of it alone, the machine held"
-        ),
-        "damping": HiddenSwing.RATIO,
-    }
-    amplitudes = ("mass",)
+    mass = Size(0.1, "force s/speed", low=0.0, help="hidden mass (over mass, where forces are)")
+    frequency = Parameter(1.0, "Hz", low=0.05, high=20.0, scale=0.5, help="of it alone, the machine held")
     shapes = {"frequency": (0.5, 1.5, 4.5), "damping": (0.02, 0.2)}
     fitted_from = tuple({"frequency": 0.4 * 2.0 ** (0.5 * k)} for k in range(9))
     sentence = (
@@ -130,7 +122,7 @@ class HiddenMass(HiddenSwing, Law):
     separate = "stop the machine at once and hold it: what swings on is not in the log"
 
     def swing(self) -> Tensor:
-        return 2.0 * pi * self.value("frequency")
+        return 2.0 * pi * self.frequency
 
     def velocity(self, x: Tensor) -> Tensor:
         return self.v(x)
@@ -148,12 +140,7 @@ class AddedInertia(Law):
     port = Port.INERTIA
     formula = "-s v', of the acceleration that all else makes"
     source = "Newton's second law with another inertia"
-    PARAMETERS = {
-        "share": Parameter(
-            0.0, "1", low=-1.0, high=0.9, scale=0.1, help="of the acceleration that is missing"
-        )
-    }
-    amplitudes = ("share",)
+    share = Size(0.0, "1", low=-1.0, high=0.9, scale=0.1, help="of the acceleration that is missing")
     sentence = (
         "{it} accelerates by a share of {share} less than declared (below 0: more): as if its inertia or its length "
         "were larger (smaller) by that share of what it is, or a constant of its equation is another one."
@@ -162,7 +149,7 @@ class AddedInertia(Law):
     separate = "weigh and measure it, or swing it freely"
 
     def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        return -self.value("share").expand(x.shape[0], 1)
+        return -self.share.expand(x.shape[0], 1)
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         """The share of the rate of the whole state that it adds (N, nx)."""
@@ -172,7 +159,7 @@ class AddedInertia(Law):
 class _Slow(Law):
     """A law of what follows the velocity slowly: memory holds m, dm/dt = (v - m) / T."""
 
-    TIME: ClassVar[Parameter] = Parameter(1.0, "s", low=0.0, help="in which it follows")
+    time = Parameter(1.0, "s", low=0.0, help="in which it follows")
     estimated = True
     # of ten steps at least: what follows at once is inertia, or a friction (a ball that is hollow)
     shapes = {"time": (40.0, 160.0, 640.0)}
@@ -185,13 +172,13 @@ class _Slow(Law):
         return 1
 
     def memory_rate(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        return (self.v(x) - memory) / self.value("time")
+        return (self.v(x) - memory) / self.time
 
     def followed(self, x: Tensor, dt: float) -> Tensor:
         """See `Effect.followed`; exact for a velocity that is a straight line between the rows."""
         from scipy.signal import lfilter
 
-        v, ratio = self.v(x)[:, 0].double().numpy(), dt / float(self.value("time").detach())
+        v, ratio = self.v(x)[:, 0].double().numpy(), dt / float(self.time.detach())
         stays = exp(-ratio)
         mean = -expm1(-ratio) / ratio  # of what stays, over a step
         start = float(self.memory_start(x[:1], x[:1])[0, 0])
@@ -206,18 +193,14 @@ class Viscoelasticity(_Slow):
 
     formula = "-k T m, dm/dt = (v - m) / T"
     source = "Maxwell, Philosophical Transactions 157 (1867)"
-    PARAMETERS = {
-        "stiffness": Parameter(1.0, "force/position", low=0.0, help="against what is quick"),
-        "time": _Slow.TIME,
-    }
-    amplitudes = ("stiffness",)
+    stiffness = Size(1.0, "force/position", low=0.0, help="against what is quick")
     sentence = (
         "A spring of {stiffness} holds {it}, and gives way in {time} where it is held (viscoelasticity)."
     )
     separate = "move it at once and hold it there: the force fades"
 
     def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        return -self.value("stiffness") * self.value("time") * memory
+        return -self.stiffness * self.time * memory
 
     def memory_start(self, x: Tensor, u: Tensor) -> Tensor:
         return torch.zeros_like(self.v(x))  # without force
@@ -229,16 +212,12 @@ class Relaxation(_Slow):
     kinds = KINDS
     formula = "c (m - v), dm/dt = (v - m) / T"
     source = "two stores in exchange; Plett, Battery Management Systems, volume 1 (2015), on pairs of R and C"
-    PARAMETERS = {
-        "exchange": Parameter(0.1, "force/speed", low=0.0, help="with what is stored"),
-        "time": _Slow.TIME,
-    }
-    amplitudes = ("exchange",)
+    exchange = Size(0.1, "force/speed", low=0.0, help="with what is stored")
     sentence = "Something that is not in the log follows {it} in {time}, and pulls it back with {exchange}."
     separate = "take it away quickly and hold the inputs: it then drifts back towards where it was"
 
     def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        return self.value("exchange") * (memory - self.v(x))
+        return self.exchange * (memory - self.v(x))
 
     def memory_start(self, x: Tensor, u: Tensor) -> Tensor:
         return self.v(x)  # in equilibrium
@@ -253,13 +232,8 @@ class Exchange(Law):
     kinds = (STORE,)
     formula = "a - c v"
     source = "Newton's law of cooling; a leak of a tank or a capacitor to first order"
-    PARAMETERS = {
-        "rate": Parameter(0.0, "force/speed", scale=0.1, help="share that is lost per second"),
-        "inflow": Parameter(
-            0.0, "force", scale=0.1, help="what comes in from around, `rate` times its level"
-        ),
-    }
-    amplitudes = ("rate", "inflow")
+    rate = Size(0.0, "force/speed", scale=0.1, help="share that is lost per second")
+    inflow = Size(0.0, "force", scale=0.1, help="what comes in from around, `rate` times its level")
     sentence = (
         "{it} loses {rate} of what it is and gains {inflow}, in exchange with surroundings that stay as they are: at a "
         "level of the one over the other."
@@ -267,7 +241,7 @@ class Exchange(Law):
     separate = "hold the inputs and wait: it goes to a level that the inputs do not explain"
 
     def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        return self.value("inflow") - self.value("rate") * self.v(x)
+        return self.inflow - self.rate * self.v(x)
 
 
 class DriftVelocity(Law):
@@ -281,15 +255,14 @@ class DriftVelocity(Law):
     source = (
         "Fossen, Handbook of Marine Craft Hydrodynamics and Motion Control (2011), on irrotational currents"
     )
-    PARAMETERS = {"velocity": Parameter(0.0, "force", scale=0.1, help="in the direction of this position")}
-    amplitudes = ("velocity",)
+    velocity = Size(0.0, "force", scale=0.1, help="in the direction of this position")
     sentence = "{it} changes by {velocity} more than the velocities say: a current carries the machine along."
     separate = (
         "turn the machine: a current keeps its direction in the world, a velocity that is read wrong does not"
     )
 
     def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        return self.value("velocity").expand(x.shape[0], 1)
+        return self.velocity.expand(x.shape[0], 1)
 
 
 class Hysteresis(Law):
@@ -301,11 +274,8 @@ class Hysteresis(Law):
     reads_position = True
     formula = "-s z, dz/dt = (v - (|v| z + v |z|) / 2) / d"
     source = "Bouc, Acustica 24 (1971); Wen, J. Eng. Mech. Div. 102 (1976)"
-    PARAMETERS = {
-        "size": Parameter(0.1, "force", low=0.0, help="force where it yields"),
-        "reach": Parameter(0.05, "position", low=0.0, help="way in which it builds up"),
-    }
-    amplitudes = ("size",)
+    size = Size(0.1, "force", low=0.0, help="force where it yields")
+    reach = Parameter(0.05, "position", low=0.0, help="way in which it builds up")
     shapes = {"reach": (0.05, 0.2, 0.6)}
     relative = {"reach": "position"}
     includes = ("coulomb_friction",)
@@ -321,16 +291,16 @@ class Hysteresis(Law):
         return 1
 
     def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        return -self.value("size") * memory
+        return -self.size * memory
 
     def memory_rate(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         v, z = self.v(x), memory.clamp(-1.0, 1.0)
-        return (v - 0.5 * (v.abs() * z + v * z.abs())) / self.value("reach")
+        return (v - 0.5 * (v.abs() * z + v * z.abs())) / self.reach
 
     def followed(self, x: Tensor, dt: float) -> Tensor:
         from nsde_torch.effects.recursions import bouc_wen
 
-        v, reach = self.v(x)[:, 0], float(self.value("reach").detach())
+        v, reach = self.v(x)[:, 0], float(self.reach.detach())
         ways = torch.cat((0.5 * (v[1:] + v[:-1]), v[-1:])) * (dt / reach)
         return torch.from_numpy(bouc_wen(ways.double().numpy(), float(v[0].sign())))[:, None].to(x.dtype)
 
@@ -338,22 +308,16 @@ class Hysteresis(Law):
         return self.v(x).sign()  # it has come this way for long
 
 
-_OF_ANGLE = {
-    "sine": Parameter(0.0, "force", scale=0.1, help="part that is nothing at the origin"),
-    "cosine": Parameter(0.0, "force", scale=0.1, help="part that is largest at the origin"),
-}
-
-
 class _OfAngle(Law):
     """A wave of an angle."""
 
     kinds = ("joint", "axis")
     reads_position = True
-    PARAMETERS = _OF_ANGLE
-    amplitudes = ("sine", "cosine")
+    sine = Size(0.0, "force", scale=0.1, help="part that is nothing at the origin")
+    cosine = Size(0.0, "force", scale=0.1, help="part that is largest at the origin")
 
     def wave(self, angle: Tensor) -> Tensor:
-        return self.value("sine") * torch.sin(angle) + self.value("cosine") * torch.cos(angle)
+        return self.sine * torch.sin(angle) + self.cosine * torch.cos(angle)
 
 
 class Ripple(_OfAngle):
@@ -361,10 +325,8 @@ class Ripple(_OfAngle):
 
     formula = "a sin(n q) + b cos(n q)"
     source = "cogging torque, Proca et al., IEEE Transactions on Energy Conversion 18 (2003)"
-    PARAMETERS = {
-        **_OF_ANGLE,
-        "order": Parameter(6.0, "1", low=0.5, scale=1.0, help="repeats in a turn"),
-    }
+    sine, cosine = _OfAngle.sine, _OfAngle.cosine
+    order = Parameter(6.0, "1", low=0.5, scale=1.0, help="repeats in a turn")
     along = "position"
     # over many turns an order is not reached from the next one (tests/diagnosis/test_own_machines.py)
     shapes = {"order": tuple(map(float, range(1, 25)))}
@@ -373,7 +335,7 @@ class Ripple(_OfAngle):
     separate = "turn slowly through the whole range, to and fro"
 
     def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        return self.wave(self.value("order") * self.q(x))
+        return self.wave(self.order * self.q(x))
 
 
 class _Stop(Law):
@@ -386,14 +348,11 @@ class _Stop(Law):
     kinds = ("rail", "joint")
     reads_position = True
     source = "contact as spring and damper; Hunt, Crossley, Journal of Applied Mechanics 42 (1975)"
-    PARAMETERS = {
-        "stiffness": Parameter(1.0, "force/position", low=0.0, help="of the stop"),
-        "damping": Parameter(0.1, "force/(speed position)", low=0.0, help="beyond the end, by depth"),
-        "end": Parameter(0.0, "position", scale=0.1, help="where it begins"),
-    }
+    stiffness = Size(1.0, "force/position", low=0.0, help="of the stop")
+    damping = Size(0.1, "force/(speed position)", low=0.0, help="beyond the end, by depth")
+    end = Parameter(0.0, "position", scale=0.1, help="where it begins")
     along = "position"
     local = True
-    amplitudes = ("stiffness", "damping")
     relative = {"end": "position"}
     separate = "move slowly up to the end and beyond"
 
@@ -402,7 +361,7 @@ class _Stop(Law):
 
     def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         beyond = self._beyond(x)
-        return -self.value("stiffness") * beyond - self.value("damping") * beyond.abs() * self.v(x)
+        return -self.stiffness * beyond - self.damping * beyond.abs() * self.v(x)
 
 
 class StopAbove(_Stop):
@@ -413,7 +372,7 @@ class StopAbove(_Stop):
     sentence = "A stop holds {it} above {end}, with {stiffness} and {damping}."
 
     def _beyond(self, x: Tensor) -> Tensor:
-        return torch.relu(self.q(x) - self.value("end"))
+        return torch.relu(self.q(x) - self.end)
 
 
 class StopBelow(_Stop):
@@ -424,7 +383,7 @@ class StopBelow(_Stop):
     sentence = "A stop holds {it} below {end}, with {stiffness} and {damping}."
 
     def _beyond(self, x: Tensor) -> Tensor:
-        return -torch.relu(self.value("end") - self.q(x))
+        return -torch.relu(self.end - self.q(x))
 
 
 class LinkWeight(_OfAngle):
@@ -478,15 +437,13 @@ class PositionBias(Law):
     reads_position = True
     formula = "q - b, for all that depends on q"
     source = "zero of a rotary encoder; Craig, Introduction to Robotics (2005), on kinematic parameters"
-    PARAMETERS = {
-        "bias": Parameter(0.0, "position", scale=0.02, help="what is read where the position is zero")
-    }
+    bias = Parameter(0.0, "position", scale=0.02, help="what is read where the position is zero")
     null = {"bias": 0.0}
     sentence = "The sensor of the position of {it} reads {bias} too much."
     separate = "let it hang at rest: what is read there is the bias"
 
     def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        return -self.value("bias").expand(x.shape[0], 1)
+        return -self.bias.expand(x.shape[0], 1)
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         """What is to be added to the state (N, nx)."""

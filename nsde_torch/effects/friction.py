@@ -8,17 +8,17 @@ control of machines with friction", Automatica 30, 1994.)
 import torch
 from torch import Tensor
 
-from nsde_torch.effects.base import Parameter
+from nsde_torch.effects.base import Parameter, Size
 from nsde_torch.effects.law import Law
 
 SURVEY = "Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30 (1994)"
 SLOW_AND_FAST = "run at several steady speeds, slow and fast, in both directions"
-WIDTH = Parameter(0.01, "speed", low=0.0, help="speed at which it is 76 % developed")
 
 
 class _DryFriction(Law):
     """Dry friction against the motion, smoothed at rest over a `width`."""
 
+    width = Parameter(0.01, "speed", low=0.0, help="speed at which it is 76 % developed")
     along = "speed"
     shapes = {"width": (0.02, 0.1)}  # of the speeds in the data: developed almost at once, and gently
     relative = {"width": "speed"}
@@ -26,7 +26,7 @@ class _DryFriction(Law):
 
     def developed(self, x: Tensor) -> Tensor:
         """The smoothed sign of the velocity (N, 1)."""
-        return torch.tanh(self.v(x) / self.value("width"))
+        return torch.tanh(self.v(x) / self.width)
 
 
 class CoulombFriction(_DryFriction):
@@ -34,13 +34,12 @@ class CoulombFriction(_DryFriction):
 
     formula = "-c tanh(v / v0)"
     source = SURVEY
-    PARAMETERS = {"size": Parameter(0.1, "force", low=0.0, help="friction force"), "width": WIDTH}
-    amplitudes = ("size",)
+    size = Size(0.1, "force", low=0.0, help="friction force")
     sentence = "Dry friction brakes {it} with {size}, whatever its speed."
     separate = SLOW_AND_FAST
 
     def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        return -self.value("size") * self.developed(x)
+        return -self.size * self.developed(x)
 
 
 class AsymmetricFriction(_DryFriction):
@@ -48,12 +47,8 @@ class AsymmetricFriction(_DryFriction):
 
     formula = "-c+ max(s, 0) - c- min(s, 0), s = tanh(v / v0)"
     source = SURVEY + ", section on direction-dependent friction"
-    PARAMETERS = {
-        "size_forward": Parameter(0.1, "force", low=0.0, help="friction where v > 0"),
-        "size_backward": Parameter(0.1, "force", low=0.0, help="friction where v < 0"),
-        "width": WIDTH,
-    }
-    amplitudes = ("size_forward", "size_backward")
+    size_forward = Size(0.1, "force", low=0.0, help="friction where v > 0")
+    size_backward = Size(0.1, "force", low=0.0, help="friction where v < 0")
     includes = ("coulomb_friction",)
     same = {"size_forward": "size", "size_backward": "size"}
     sentence = "Dry friction brakes {it} with {size_forward} forwards and {size_backward} backwards."
@@ -61,7 +56,7 @@ class AsymmetricFriction(_DryFriction):
 
     def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         s = self.developed(x)
-        return -self.value("size_forward") * s.clamp_min(0.0) - self.value("size_backward") * s.clamp_max(0.0)
+        return -self.size_forward * s.clamp_min(0.0) - self.size_backward * s.clamp_max(0.0)
 
 
 class StribeckFriction(_DryFriction):
@@ -69,13 +64,9 @@ class StribeckFriction(_DryFriction):
 
     formula = "-(c + e exp(-(v / vs)^2)) tanh(v / v0)"
     source = SURVEY
-    PARAMETERS = {
-        "size": Parameter(0.1, "force", low=0.0, help="friction at speed"),
-        "extra": Parameter(0.05, "force", low=0.0, help="what is added at low speed"),
-        "speed": Parameter(0.1, "speed", low=0.0, help="speed at which 37 % of the extra is left"),
-        "width": WIDTH,
-    }
-    amplitudes = ("size", "extra")
+    size = Size(0.1, "force", low=0.0, help="friction at speed")
+    extra = Size(0.05, "force", low=0.0, help="what is added at low speed")
+    speed = Parameter(0.1, "speed", low=0.0, help="speed at which 37 % of the extra is left")
     shapes = {"speed": (0.1, 0.3), "width": (0.02,)}
     relative = {"speed": "speed", "width": "speed"}
     includes = ("coulomb_friction",)
@@ -85,8 +76,8 @@ class StribeckFriction(_DryFriction):
     separate = "creep at several speeds below the usual ones, in both directions"
 
     def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        ratio = self.v(x) / self.value("speed")
-        size = self.value("size") + self.value("extra") * torch.exp(-ratio * ratio)
+        ratio = self.v(x) / self.speed
+        size = self.size + self.extra * torch.exp(-ratio * ratio)
         return -size * self.developed(x)
 
 
@@ -95,14 +86,13 @@ class ViscousFriction(Law):
 
     formula = "-b v"
     source = "supplement B: m q'' = -b q' - k q"
-    PARAMETERS = {"damping": Parameter(0.3, "force/speed", low=0.0, help="damping")}
+    damping = Size(0.3, "force/speed", low=0.0, help="damping")
     along = "speed"
-    amplitudes = ("damping",)
     sentence = "Friction brakes {it} in proportion to its speed, with {damping}."
     separate = SLOW_AND_FAST
 
     def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        return -self.value("damping") * self.v(x)
+        return -self.damping * self.v(x)
 
 
 class QuadraticDamping(Law):
@@ -110,15 +100,14 @@ class QuadraticDamping(Law):
 
     formula = "-d |v| v"
     source = "drag of a body in a fluid at high Reynolds number"
-    PARAMETERS = {"damping": Parameter(0.1, "force/speed2", low=0.0, help="drag")}
+    damping = Size(0.1, "force/speed2", low=0.0, help="drag")
     along = "speed"
-    amplitudes = ("damping",)
     sentence = "Friction brakes {it} in proportion to the square of its speed, with {damping}."
     separate = SLOW_AND_FAST
 
     def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         v = self.v(x)
-        return -self.value("damping") * v.abs() * v
+        return -self.damping * v.abs() * v
 
 
 class PositionDependentFriction(_DryFriction):
@@ -128,18 +117,14 @@ class PositionDependentFriction(_DryFriction):
     reads_position = True
     formula = "-(c + g q) tanh(v / v0)"
     source = SURVEY + ", section on position-dependent friction"
-    PARAMETERS = {
-        "size": Parameter(0.1, "force", low=0.0, help="friction force at the origin"),
-        "slope": Parameter(0.0, "force/position", scale=0.1, help="what it grows by along the way"),
-        "width": WIDTH,
-    }
-    amplitudes = ("size", "slope")
+    size = Size(0.1, "force", low=0.0, help="friction force at the origin")
+    slope = Size(0.0, "force/position", scale=0.1, help="what it grows by along the way")
     includes = ("coulomb_friction",)
     sentence = "Dry friction brakes {it} with {size} at the origin and changes by {slope} along the way."
     separate = "run to and fro at one speed in several places, near both ends"
 
     def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        size = self.value("size") + self.value("slope") * self.q(x)
+        size = self.size + self.slope * self.q(x)
         return -size * self.developed(x)
 
 
@@ -149,14 +134,10 @@ class LoadFriction(_DryFriction):
     reads_load = True
     formula = "-mu |N| tanh(v / v0)"
     source = "Coulomb's law of friction; " + SURVEY
-    PARAMETERS = {
-        "coefficient": Parameter(0.05, "1", low=0.0, scale=0.1, help="friction over load"),
-        "width": WIDTH,
-    }
-    amplitudes = ("coefficient",)
+    coefficient = Size(0.05, "1", low=0.0, scale=0.1, help="friction over load")
     sentence = "Dry friction brakes {it} with {coefficient} of its load."
     separate = "run at one speed under small and large loads"
 
     def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        size = self.value("coefficient") * self.load(u).abs()
+        size = self.coefficient * self.load(u).abs()
         return -size * self.developed(x)

@@ -56,7 +56,6 @@ class Law(Effect):
     reads_chain: ClassVar[bool] = False  # whether it is for one of several angles (`at.chain`)
     dry: ClassVar[bool] = False
     """Whether it is a dry friction: it holds what stands, and is a function of the speed of what moves alone."""
-    _declared: ClassVar[Mapping[str, Parameter]] = {}
     _sentence: ClassVar[str] = ""
 
     def __init_subclass__(cls, **keywords: Any) -> None:
@@ -66,7 +65,6 @@ class Law(Effect):
             return
         cls.law = cls
         if "PARAMETERS" in own:
-            cls._declared = own["PARAMETERS"]
             cls.PARAMETERS = _in_units(cls._declared, PLAIN)
         if "sentence" in own:
             cls._sentence = own["sentence"]

@@ -5,7 +5,7 @@ from torch import Tensor
 
 from nsde_torch.columns import columns, split_columns, stack_columns
 from nsde_torch.effects.actuators import EfficiencyLoss, Lag
-from nsde_torch.effects.base import Effect, Parameter, Port, elapsed
+from nsde_torch.effects.base import Effect, Parameter, Port, Size, elapsed
 from nsde_torch.effects.forces import HiddenSwing
 from nsde_torch.rotation import axis_up, cross, euler_coupling, matrix, rate_products, rotate_back, turned
 
@@ -25,14 +25,13 @@ class LinearDrag(Effect):
     port = Port.BODY_FORCE
     formula = "-d * v_body"
     source = "Faessler, Franchi, Scaramuzza, IEEE RA-L 3 (2018)"
-    PARAMETERS = {"drag": Parameter((0.1, 0.1, 0.1), "1/s", low=0.0, help="drag over mass, body x y z")}
+    drag = Size((0.1, 0.1, 0.1), "1/s", low=0.0, help="drag over mass, body x y z")
     along = "speed"
-    amplitudes = ("drag",)
     sentence = "The air brakes in proportion to the speed: rotor drag of {drag} along forward, left and up."
     separate = TWO_SPEEDS
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        return -self.value("drag") * body_velocity(x)
+        return -self.drag * body_velocity(x)
 
 
 class QuadraticDrag(Effect):
@@ -41,15 +40,14 @@ class QuadraticDrag(Effect):
     port = Port.BODY_FORCE
     formula = "-d * |v| v_body"
     source = "aerodynamic drag of a bluff body"
-    PARAMETERS = {"drag": Parameter((0.02, 0.02, 0.02), "1/m", low=0.0, help="drag over mass, body x y z")}
+    drag = Size((0.02, 0.02, 0.02), "1/m", low=0.0, help="drag over mass, body x y z")
     along = "speed"
-    amplitudes = ("drag",)
     sentence = "The air brakes with the square of the speed: {drag} along forward, left and up."
     separate = TWO_SPEEDS
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         v = body_velocity(x)
-        return -self.value("drag") * v * torch.sqrt((v * v).sum(1, keepdim=True) + 1e-12)
+        return -self.drag * v * torch.sqrt((v * v).sum(1, keepdim=True) + 1e-12)
 
 
 class RotorDrag(Effect):
@@ -62,13 +60,8 @@ class RotorDrag(Effect):
     quantities = {"thrust": 1}
     formula = "-d * sqrt(T / g) v_body"
     source = "Svacha, Mohta, Kumar, ICUAS (2017); rotor speed in proportion to the root of the thrust"
-    PARAMETERS = {
-        "drag": Parameter(
-            (0.1, 0.1, 0.1), "1/s", low=0.0, help="drag over mass at the thrust of hover, body x y z"
-        )
-    }
+    drag = Size((0.1, 0.1, 0.1), "1/s", low=0.0, help="drag over mass at the thrust of hover, body x y z")
     along = "speed"
-    amplitudes = ("drag",)
     includes = ("linear_drag",)
     sentence = (
         "The rotors brake with their own speed times that of flight: {drag} at hover, forward, left and up."
@@ -77,7 +70,7 @@ class RotorDrag(Effect):
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         speed = torch.sqrt(self.channel("thrust", u).clamp_min(0.0) / GRAVITY + 1e-12)
-        return -self.value("drag") * speed * body_velocity(x)
+        return -self.drag * speed * body_velocity(x)
 
 
 class TranslationalLift(Effect):
@@ -86,8 +79,7 @@ class TranslationalLift(Effect):
     port = Port.BODY_FORCE
     formula = "k (v_x^2 + v_y^2), along body z"
     source = "Svacha, Mohta, Kumar, ICUAS (2017), eq. of thrust with k_h"
-    PARAMETERS = {"lift": Parameter(0.01, "1/m", low=0.0, help="k over mass")}
-    amplitudes = ("lift",)
+    lift = Size(0.01, "1/m", low=0.0, help="k over mass")
     sentence = (
         "In forward flight the rotors lift more: by {lift} times the square of the speed in their plane."
     )
@@ -95,7 +87,7 @@ class TranslationalLift(Effect):
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         v_x, v_y, _ = columns(body_velocity(x))
-        lift = self.value("lift") * (v_x * v_x + v_y * v_y)
+        lift = self.lift * (v_x * v_x + v_y * v_y)
         return stack_columns((torch.zeros_like(lift), torch.zeros_like(lift), lift))
 
 
@@ -109,20 +101,17 @@ class TrackedPoint(Effect):
     quantities = {"angular_acceleration": 3}
     formula = "domega/dt x r + omega x (omega x r)"
     source = "acceleration of a point of a rigid body"
-    PARAMETERS = {
-        "offset": Parameter(
-            (0.0, 0.0, 0.0),
-            "m",
-            scale=0.02,
-            help="of the point from the centre of mass, forward, left and up",
-        )
-    }
-    amplitudes = ("offset",)
+    offset = Size(
+        (0.0, 0.0, 0.0),
+        "m",
+        scale=0.02,
+        help="of the point from the centre of mass, forward, left and up",
+    )
     sentence = "Position and velocity are of a point {offset} forward, left and up of the centre of mass."
     separate = "turn sharply about each axis on the spot"
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        r, omega = self.value("offset"), x[:, 10:13]
+        r, omega = self.offset, x[:, 10:13]
         return cross(self.channel("angular_acceleration", u), r) + cross(omega, cross(omega, r))
 
 
@@ -132,11 +121,8 @@ class ConstantWind(Effect):
     port = Port.BODY_FORCE
     formula = "-d * R^T (v - w)"
     source = "Tomic, Schmid, Lutz, Mathers, Haddadin, IROS (2016): drag on the velocity relative to the air"
-    PARAMETERS = {
-        "drag": Parameter((0.1, 0.1, 0.1), "1/s", low=0.0, help="drag over mass, body x y z"),
-        "wind": Parameter((0.0, 0.0), "m/s", scale=1.0, help="velocity of the air, east and north"),
-    }
-    amplitudes = ("drag",)
+    drag = Size((0.1, 0.1, 0.1), "1/s", low=0.0, help="drag over mass, body x y z")
+    wind = Parameter((0.0, 0.0), "m/s", scale=1.0, help="velocity of the air, east and north")
     shapes = {"wind": ((2.0, 0.0), (-2.0, 0.0), (0.0, 2.0), (0.0, -2.0))}
     smooth = ("wind",)
     includes = ("linear_drag",)
@@ -144,9 +130,9 @@ class ConstantWind(Effect):
     separate = "fly the same path twice, the second time turned by a quarter"
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        wind = self.value("wind")
+        wind = self.wind
         air = torch.cat((wind, torch.zeros_like(wind[..., :1])), -1)
-        return -self.value("drag") * rotate_back(x[:, 6:10], x[:, 3:6] - air)
+        return -self.drag * rotate_back(x[:, 6:10], x[:, 3:6] - air)
 
 
 class SlungLoad(HiddenSwing):
@@ -161,22 +147,16 @@ class SlungLoad(HiddenSwing):
     quantities = {"thrust": 1}
     formula = "m (T - y''), y'' = (T_z / l) (p - y) + 2 d sqrt(g / l) (v - y'), east and north"
     source = "to first order; Goodarzi, Lee, Lee, American Control Conference (2014)"
-    PARAMETERS = {
-        "mass": Parameter(0.1, "1", low=0.0, help="mass of the load over that of the machine"),
-        "length": Parameter(
-            1.0, "m", low=0.05, high=50.0, scale=0.5, help="from the centre of mass to the load"
-        ),
-        "damping": HiddenSwing.RATIO,
-    }
+    mass = Size(0.1, "1", low=0.0, help="mass of the load over that of the machine")
+    length = Parameter(1.0, "m", low=0.05, high=50.0, scale=0.5, help="from the centre of mass to the load")
     ways = 2
-    amplitudes = ("mass",)
     shapes = {"length": (0.5, 2.0), "damping": (0.02, 0.1)}
     fitted_from = tuple({"length": length} for length in (0.35, 0.8, 1.8))
     sentence = "A load of {mass} of the machine's mass swings {length} below it, at {damping} of the critical damping."
     separate = "fly to and fro at the pace at which it swings, and at half and twice that"
 
     def swing(self) -> Tensor:
-        return (GRAVITY / self.value("length")).sqrt()
+        return (GRAVITY / self.length).sqrt()
 
     def velocity(self, x: Tensor) -> Tensor:
         # to east and north
@@ -184,8 +164,8 @@ class SlungLoad(HiddenSwing):
 
     def acceleration(self, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         ahead, speed = memory.split(2, 1)
-        rub = 2.0 * self.value("damping") * self.swing()
-        return -self._lift(x, u)[:, 2:] / self.value("length") * ahead - rub * (speed - self.velocity(x))
+        rub = 2.0 * self.damping * self.swing()
+        return -self._lift(x, u)[:, 2:] / self.length * ahead - rub * (speed - self.velocity(x))
 
     def _lift(self, x: Tensor, u: Tensor) -> Tensor:
         """Thrust over mass in the world (N, 3)."""
@@ -203,17 +183,14 @@ class ConstantWorldForce(Effect):
     needs = (Port.BODY_FORCE,)
     formula = "c"
     source = "a lasting disturbance force; Tomic, Ott, Haddadin, IEEE T-RO 33 (2017)"
-    PARAMETERS = {
-        "acceleration": Parameter((0.0, 0.0, 0.0), "m/s2", scale=0.1, help="force over mass, east north up")
-    }
-    amplitudes = ("acceleration",)
+    acceleration = Size((0.0, 0.0, 0.0), "m/s2", scale=0.1, help="force over mass, east north up")
     sentence = "A force that never changes pushes with {acceleration} to east, north and up."
     separate = (
         "hover with the nose in several directions: a force of the world stays, one of the body turns with it"
     )
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        return self.value("acceleration").expand(x.shape[0], 3)
+        return self.acceleration.expand(x.shape[0], 3)
 
 
 class GroundEffect(Effect):
@@ -225,11 +202,8 @@ class GroundEffect(Effect):
     source = (
         "Cheeseman, Bennett, ARC R&M 3021 (1955), 1 / (1 - (R / 4 z)^2) to first order, softened within h"
     )
-    PARAMETERS = {
-        "area": Parameter(0.01, "m2", low=0.0, help="a = (R / 4)^2 of a rotor of radius R"),
-        "height": Parameter(0.2, "m", low=0.0, help="h, height below which it grows no more"),
-    }
-    amplitudes = ("area",)
+    area = Size(0.01, "m2", low=0.0, help="a = (R / 4)^2 of a rotor of radius R")
+    height = Parameter(0.2, "m", low=0.0, help="h, height below which it grows no more")
     shapes = {"height": (0.1, 0.3)}
     sentence = (
         "Near the ground the rotors lift more: by {area} over height squared, softened within {height}."
@@ -237,8 +211,8 @@ class GroundEffect(Effect):
     separate = "hover at several heights, from a quarter of a metre to two"
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        z, h = x[:, 2:3], self.value("height")
-        lift = self.channel("thrust", u) * self.value("area") / (z * z + h * h)
+        z, h = x[:, 2:3], self.height
+        lift = self.channel("thrust", u) * self.area / (z * z + h * h)
         return torch.cat((torch.zeros_like(lift), torch.zeros_like(lift), lift), 1)
 
 
@@ -249,15 +223,12 @@ class ThrustMisalignment(Effect):
     quantities = {"thrust": 1}
     formula = "T (a_x, a_y, 0)"
     source = "small rotation of the thrust vector; mounting of motors or of the flight controller"
-    PARAMETERS = {
-        "tilt": Parameter((0.0, 0.0), "rad", scale=0.01, help="tilt of the thrust towards body x and y")
-    }
-    amplitudes = ("tilt",)
+    tilt = Size((0.0, 0.0), "rad", scale=0.01, help="tilt of the thrust towards body x and y")
     sentence = "The thrust does not point along the body's axis: it is tilted by {tilt} to forward and left."
     separate = "hover with the nose in several directions: a tilted thrust turns with the body, a wind stays"
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        sideways = self.value("tilt") * self.channel("thrust", u)
+        sideways = self.tilt * self.channel("thrust", u)
         return torch.cat((sideways, torch.zeros_like(sideways[:, :1])), 1)
 
 
@@ -278,11 +249,9 @@ class FrameMisalignment(Effect):
     quantities = {"thrust": 1, "angular_acceleration": 3, "inertia": 2}
     formula = "R^T (T e_z, a) - (T e_z, a), R = exp(turn)"
     source = "change of axes in Newton's and Euler's equations; mounting of the flight controller"
-    PARAMETERS = {
-        "turn": Parameter(
-            (0.0, 0.0, 0.0), "rad", scale=0.02, help="rotation vector from the machine's axes to the log's"
-        )
-    }
+    turn = Parameter(
+        (0.0, 0.0, 0.0), "rad", scale=0.02, help="rotation vector from the machine's axes to the log's"
+    )
     null = {"turn": 0.0}
     sentence = "The axes of the log are turned against those of the machine, by {turn} about x, y and z."
     separate = (
@@ -291,7 +260,7 @@ class FrameMisalignment(Effect):
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         thrust, omega = self.channel("thrust", u), x[:, 10:13]
-        turn = self.value("turn").to(x)[None]
+        turn = self.turn.to(x)[None]
         level = torch.tensor([[1.0, 0.0, 0.0, 0.0]]).to(x)
         r = matrix(turned(level, turn))[0]  # a row times r is turned back
         coupling = stack_columns(euler_coupling(*columns(self.channel("inertia", u))))
@@ -314,13 +283,12 @@ class AngularDamping(Effect):
     port = Port.BODY_MOMENT
     formula = "-d * omega"
     source = "blade flapping and inflow, first order in the rates"
-    PARAMETERS = {"damping": Parameter((0.1, 0.1, 0.1), "1/s", low=0.0, help="damping over inertia, x y z")}
-    amplitudes = ("damping",)
+    damping = Size((0.1, 0.1, 0.1), "1/s", low=0.0, help="damping over inertia, x y z")
     sentence = "Turning is braked in proportion to its rate: {damping} in roll, pitch and yaw."
     separate = "turn at several rates about each axis"
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        return -self.value("damping") * x[:, 10:13]
+        return -self.damping * x[:, 10:13]
 
 
 class ComOffset(Effect):
@@ -330,17 +298,12 @@ class ComOffset(Effect):
     quantities = {"thrust": 1}
     formula = "T (-o_y, o_x, 0), o = c m / J"
     source = "moment -c x F of the thrust about a centre of mass at c"
-    PARAMETERS = {
-        "offset": Parameter(
-            (0.0, 0.0), "1/m", scale=0.1, help="offset forward and left, times mass over inertia"
-        )
-    }
-    amplitudes = ("offset",)
+    offset = Size((0.0, 0.0), "1/m", scale=0.1, help="offset forward and left, times mass over inertia")
     sentence = "The centre of mass is off the middle of the rotors: {offset} forward and left, times mass over inertia."
     separate = "climb and sink: the moment of an offset follows the thrust, that of a weak motor its command"
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        o_x, o_y = self.value("offset").unbind(0)
+        o_x, o_y = self.offset.unbind(0)
         thrust = self.channel("thrust", u)[:, 0]
         return stack_columns((-o_y * thrust, o_x * thrust, torch.zeros_like(thrust)))
 
@@ -353,22 +316,19 @@ class GyroscopicMoment(Effect):
     # a sum of the commands themselves left three laws of rates and yaw command beside it, in two simulators
     formula = "S (h_x omega_y, -h_y omega_x, 0), S = sum of signed sqrt(u_i)"
     source = TUTORIAL + "; rotor speed in proportion to the root of its thrust"
-    PARAMETERS = {
-        "momentum": Parameter(
-            (1.0, 1.0),
-            "1/s",
-            low=0.0,
-            help="angular momentum of a rotor at full command over the machine's inertia, roll and pitch",
-        )
-    }
-    amplitudes = ("momentum",)
+    momentum = Size(
+        (1.0, 1.0),
+        "1/s",
+        low=0.0,
+        help="angular momentum of a rotor at full command over the machine's inertia, roll and pitch",
+    )
     sentence = "The spinning rotors act as a gyroscope of {momentum} (over the inertia of roll and of pitch)."
     separate = "roll and pitch fast while turning in yaw both ways"
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         wx, wy, _ = columns(x[:, 10:13])
         spin = self.channel("spin", u)[:, 0]
-        about_x, about_y = self.value("momentum").unbind(0)
+        about_x, about_y = self.momentum.unbind(0)
         return stack_columns((about_x * spin * wy, -about_y * spin * wx, torch.zeros_like(wx)))
 
 
@@ -378,18 +338,15 @@ class FlappingMoment(Effect):
     port = Port.BODY_MOMENT
     formula = "(f_x v_y, -f_y v_x, 0)"
     source = TUTORIAL
-    PARAMETERS = {
-        "gain": Parameter(
-            (0.0, 0.0), "rad/(m s)", scale=0.1, help="moment over inertia per body velocity, roll and pitch"
-        )
-    }
-    amplitudes = ("gain",)
+    gain = Size(
+        (0.0, 0.0), "rad/(m s)", scale=0.1, help="moment over inertia per body velocity, roll and pitch"
+    )
     sentence = "Flight through the air turns the machine against its motion: {gain} in roll and pitch."
     separate = "fly at two more speeds with the same attitude, forwards and sideways"
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         v_x, v_y, _ = columns(body_velocity(x))
-        f_x, f_y = self.value("gain").unbind(0)
+        f_x, f_y = self.gain.unbind(0)
         return stack_columns((f_x * v_y, -f_y * v_x, torch.zeros_like(v_x)))
 
 
@@ -405,17 +362,12 @@ class InertiaCoupling(Effect):
     quantities = {"angular_acceleration": 3, "inertia": 2}
     formula = "-D^-1 (P a + omega x P omega), P off the diagonal of J / Jz"
     source = "Euler's equation of a rigid body with products of inertia, to first order in them"
-    PARAMETERS = {
-        "product": Parameter(
-            (0.0, 0.0, 0.0), "1", scale=0.05, help="J_xy, J_xz, J_yz over J_zz (elements of J)"
-        )
-    }
-    amplitudes = ("product",)
+    product = Size((0.0, 0.0, 0.0), "1", scale=0.05, help="J_xy, J_xz, J_yz over J_zz (elements of J)")
     sentence = "The masses lie askew to the axes of the log: J_xy, J_xz, J_yz are {product} of J_zz."
     separate = "roll, pitch and yaw sharply, one axis at a time"
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        xy, xz, yz = self.value("product").unbind(0)
+        xy, xz, yz = self.product.unbind(0)
         ax, ay, az = columns(self.channel("angular_acceleration", u))
         jx, jy = columns(self.channel("inertia", u))
         wx, wy, wz = columns(x[:, 10:13])
@@ -458,13 +410,12 @@ class ThrustSag(Effect):
     needs = (Port.BODY_MOMENT,)
     formula = "u_eff = u (1 - r t)"
     source = "falling battery voltage, first order in time"
-    PARAMETERS = {"rate": Parameter(0.0005, "1/s", low=0.0, scale=0.001, help="share lost per second")}
-    amplitudes = ("rate",)
+    rate = Size(0.0005, "1/s", low=0.0, scale=0.001, help="share lost per second")
     sentence = "Thrust per command falls by {rate}, counted from the start of the clock."
     separate = "log the battery's voltage, and fly one battery longer"
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        return -(self.value("rate") * elapsed(t, x)).to(u.dtype) * u
+        return -(self.rate * elapsed(t, x)).to(u.dtype) * u
 
 
 class SupplySag(Effect):
@@ -477,17 +428,12 @@ class SupplySag(Effect):
     needs = (Port.BODY_MOMENT,)
     formula = "u_eff = u (1 - k mean(u))"
     source = "internal resistance of the battery, first order in the current"
-    PARAMETERS = {
-        "drop": Parameter(
-            0.1, "1", low=0.0, scale=0.1, help="share lost where all motors are at full command"
-        )
-    }
-    amplitudes = ("drop",)
+    drop = Size(0.1, "1", low=0.0, scale=0.1, help="share lost where all motors are at full command")
     sentence = "Motors give less the more all of them draw: {drop} at full command."
     separate = "climb and sink hard, and roll and pitch while climbing"
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        return -self.value("drop") * u.mean(1, keepdim=True) * u
+        return -self.drop * u.mean(1, keepdim=True) * u
 
 
 REFERENCES = ((5.5, 4.0), (8.9, 8.0))
@@ -504,10 +450,7 @@ class BatteryVoltage(Effect):
     exogenous = ("battery_voltage",)
     formula = "u_eff = u (1 + s (V - V_0))"
     source = "motor speed follows the voltage at a given duty; first order around 4 V (one cell), 8 V (two) or 16 V"
-    PARAMETERS = {
-        "sensitivity": Parameter(0.05, "1/V", low=0.0, scale=0.05, help="relative change of thrust per volt")
-    }
-    amplitudes = ("sensitivity",)
+    sensitivity = Size(0.05, "1/V", low=0.0, scale=0.05, help="relative change of thrust per volt")
     sentence = "Thrust per command follows the battery's voltage, by {sensitivity}."
     separate = "fly the same path on a full and on an empty battery"
 
@@ -516,7 +459,7 @@ class BatteryVoltage(Effect):
         reference = torch.full_like(voltage, REFERENCE)
         for most, own in reversed(REFERENCES):
             reference = torch.where(voltage < most, own, reference)
-        return self.value("sensitivity") * (voltage - reference) * u[:, : u.shape[1] - 1]
+        return self.sensitivity * (voltage - reference) * u[:, : u.shape[1] - 1]
 
 
 class ThrustCurve(Effect):
@@ -526,13 +469,12 @@ class ThrustCurve(Effect):
     needs = (Port.BODY_MOMENT,)
     formula = "u_eff = u + c u^2"
     source = "supplement eq. 4: thrust map as a polynomial of the command"
-    PARAMETERS = {"curvature": Parameter(0.0, "1", scale=0.1, help="second coefficient over the first")}
-    amplitudes = ("curvature",)
+    curvature = Size(0.0, "1", scale=0.1, help="second coefficient over the first")
     sentence = "Thrust grows with {curvature} times the square of the command beside the command itself."
     separate = "climb and sink hard, for commands far from hover"
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        return self.value("curvature") * u * u
+        return self.curvature * u * u
 
 
 class AxialInflow(Effect):
@@ -544,12 +486,9 @@ class AxialInflow(Effect):
     source = (
         "momentum theory in axial flight; Leishman, Principles of Helicopter Aerodynamics (2006), chapter 2"
     )
-    PARAMETERS = {
-        "loss": Parameter(0.02, "s/m", low=0.0, scale=0.02, help="share lost by speed along the rotors' axis")
-    }
-    amplitudes = ("loss",)
+    loss = Size(0.02, "s/m", low=0.0, scale=0.02, help="share lost by speed along the rotors' axis")
     sentence = "Climbing costs thrust: {loss}, as a share by speed along the axis of the rotors."
     separate = "climb and sink fast, and roll, pitch and yaw meanwhile"
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        return -self.value("loss") * body_velocity(x)[:, 2:] * u
+        return -self.loss * body_velocity(x)[:, 2:] * u

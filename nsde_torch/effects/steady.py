@@ -1,12 +1,11 @@
 """Forces that do not depend on how a machine moves: constant ones, and those that swing with the clock."""
 
 from math import pi
-from typing import ClassVar
 
 import torch
 from torch import Tensor
 
-from nsde_torch.effects.base import Parameter, elapsed
+from nsde_torch.effects.base import Parameter, Size, elapsed
 from nsde_torch.effects.law import Law
 
 
@@ -15,15 +14,12 @@ class ConstantForce(Law):
 
     formula = "c"
     source = "bias of an actuator or a slope"
-    PARAMETERS = {
-        "acceleration": Parameter(0.0, "force", scale=0.1, help="force (over mass, where forces are)")
-    }
-    amplitudes = ("acceleration",)
+    acceleration = Size(0.0, "force", scale=0.1, help="force (over mass, where forces are)")
     sentence = "A force that never changes acts on {it}, with {acceleration}."
     separate = "leave it alone, at rest, in several places"
 
     def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        return self.value("acceleration").expand(x.shape[0], 1)
+        return self.acceleration.expand(x.shape[0], 1)
 
 
 class PeriodicForce(Law):
@@ -31,12 +27,9 @@ class PeriodicForce(Law):
 
     formula = "a sin(2 pi f t) + b cos(2 pi f t)"
     source = "imbalance of a rotating part; den Hartog, Mechanical Vibrations (1934)"
-    PARAMETERS = {
-        "sine": Parameter(0.0, "force", scale=0.1, help="part in phase with the clock"),
-        "cosine": Parameter(0.0, "force", scale=0.1, help="part a quarter ahead of it"),
-        "frequency": Parameter(1.0, "Hz", low=0.0, scale=0.1, help="oscillations per second"),
-    }
-    amplitudes: ClassVar[tuple[str, ...]] = ("sine", "cosine")
+    sine = Size(0.0, "force", scale=0.1, help="part in phase with the clock")
+    cosine = Size(0.0, "force", scale=0.1, help="part a quarter ahead of it")
+    frequency = Parameter(1.0, "Hz", low=0.0, scale=0.1, help="oscillations per second")
     shapes = {"frequency": ()}
     relative = {"frequency": "spectrum"}
     sentence = "A force on {it} swings {frequency}, whatever the machine does (sine {sine}, cosine {cosine})."
@@ -44,9 +37,9 @@ class PeriodicForce(Law):
 
     def angle(self, t: float | Tensor, x: Tensor) -> Tensor:
         """Angle at a time [rad], in the precision of states; turns in that of the clock: a log may start at 1e9 s."""
-        return (2.0 * pi * torch.remainder(self.value("frequency") * elapsed(t, x), 1.0)).to(x.dtype)
+        return (2.0 * pi * torch.remainder(self.frequency * elapsed(t, x), 1.0)).to(x.dtype)
 
     def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         angle = self.angle(t, x)
-        term = self.value("sine") * torch.sin(angle) + self.value("cosine") * torch.cos(angle)
+        term = self.sine * torch.sin(angle) + self.cosine * torch.cos(angle)
         return term.reshape(-1, 1).expand(x.shape[0], 1)

@@ -16,6 +16,7 @@ from nsde_torch.effects import (
     Law,
     Parameter,
     Port,
+    Size,
     effect_class,
     effects_of,
     key_of,
@@ -36,13 +37,13 @@ class Teeth(Law):
     reads_position = True
     formula = "-c sin(2 pi q / p)"
     source = "a test"
-    PARAMETERS = {"size": Parameter(1.0, "force"), "pitch": Parameter(0.4, "position", low=0.0)}
-    null, amplitudes, shapes = {"size": 0.0}, ("size",), {"pitch": (0.4,)}
+    size, pitch = Size(1.0, "force"), Parameter(0.4, "position", low=0.0)
+    shapes = {"pitch": (0.4,)}
     relative = {"pitch": "position"}
     sentence = "Teeth hold {it} with {size}."
 
     def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        return -self.value("size") * torch.sin(2.0 * torch.pi * self.q(x) / self.value("pitch"))
+        return -self.size * torch.sin(2.0 * torch.pi * self.q(x) / self.pitch)
 
 
 class Narrow(Effect):  # of width 1 on a port of width 2

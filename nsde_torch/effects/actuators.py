@@ -7,7 +7,6 @@ saturation and play.)
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from math import exp, floor, pi
-from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -25,7 +24,7 @@ class InputMemory(Effect):
     """An effect on the inputs with states of each, the first of which follows it and begins there, the others at 0."""
 
     port = Port.INPUT
-    states: ClassVar[int] = 1  # of each input
+    states = 1  # of each input
 
     @property
     def n_memory(self) -> int:

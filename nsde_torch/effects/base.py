@@ -292,6 +292,7 @@ class Effect(Parametrised, ABC):
     quantile of the absolute value that the effect sees), `step` (time between samples), or `spectrum` (frequencies are
     taken from the data, `shapes` has none)."""
     ends: ClassVar[tuple[str, ...]] = ()  # `shapes` at whose lower bound it is another law, too
+    states: ClassVar[int] = 0  # extra states, its memory, if their number is always the same
     resolved: ClassVar[Mapping[str, float]] = {}
     """Times of a memory -> the least multiple of a step at which explicit steps follow it."""
     includes: ClassVar[tuple[str, ...]] = ()
@@ -410,7 +411,7 @@ class Effect(Parametrised, ABC):
     @property
     def n_memory(self) -> int:
         """Number of extra states."""
-        return 0
+        return self.states
 
     @abstractmethod
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:

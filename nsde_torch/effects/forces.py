@@ -57,7 +57,7 @@ class HiddenSwing(Effect):
     damping = Parameter(
         0.1, "1", low=0.005, high=1.0, scale=0.05, help="damping, as a ratio to the critical one"
     )
-    ways: ClassVar[int] = 1  # directions
+    states = 2  # how far it is ahead of the machine, and its velocity, in each direction
     estimated = True
 
     @abstractmethod
@@ -66,24 +66,20 @@ class HiddenSwing(Effect):
 
     @abstractmethod
     def velocity(self, x: Tensor) -> Tensor:
-        """Velocity of the machine (N, ways), from the state."""
-
-    @property
-    def n_memory(self) -> int:
-        """How far it is ahead of the machine, and its velocity."""
-        return 2 * self.ways
+        """Velocity of the machine (N, directions), from the state."""
 
     def pull(self, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        """Force on the machine (N, ways)."""
+        """Force on the machine (N, directions)."""
         return -self.value("mass") * self.acceleration(x, u, memory)
 
     def acceleration(self, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        """y'' (N, ways)."""
-        w, (ahead, speed) = self.swing(), memory.split(self.ways, 1)
+        """y'' (N, directions)."""
+        w, (ahead, speed) = self.swing(), memory.chunk(2, 1)
         return -w * (w * ahead + 2.0 * self.damping * (speed - self.velocity(x)))
 
     def memory_rate(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        return torch.cat((memory[:, self.ways :] - self.velocity(x), self.acceleration(x, u, memory)), 1)
+        speed = memory[:, self.states // 2 :]
+        return torch.cat((speed - self.velocity(x), self.acceleration(x, u, memory)), 1)
 
     def followed(self, x: Tensor, dt: float) -> Tensor:
         """See `Effect.followed`; exact for a velocity that is a straight line between the rows."""
@@ -160,16 +156,12 @@ class _Slow(Law):
     """A law of what follows the velocity slowly: memory holds m, dm/dt = (v - m) / T."""
 
     time = Parameter(1.0, "s", low=0.0, help="in which it follows")
+    states = 1  # what follows
     estimated = True
     # of ten steps at least: what follows at once is inertia, or a friction (a ball that is hollow)
     shapes = {"time": (40.0, 160.0, 640.0)}
     relative = {"time": "step"}
     ends = ("time",)
-
-    @property
-    def n_memory(self) -> int:
-        """What follows."""
-        return 1
 
     def memory_rate(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         return (self.v(x) - memory) / self.time
@@ -272,6 +264,7 @@ class Hysteresis(Law):
     """
 
     reads_position = True
+    states = 1  # the share z of the force at which it yields
     formula = "-s z, dz/dt = (v - (|v| z + v |z|) / 2) / d"
     source = "Bouc, Acustica 24 (1971); Wen, J. Eng. Mech. Div. 102 (1976)"
     size = Size(0.1, "force", low=0.0, help="force where it yields")
@@ -284,11 +277,6 @@ class Hysteresis(Law):
         "yields at {size}."
     )
     separate = "move to and fro slowly, with small and large strokes: friction turns at once, hysteresis over its reach"
-
-    @property
-    def n_memory(self) -> int:
-        """The share z of the force at which it yields."""
-        return 1
 
     def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         return -self.size * memory
@@ -345,6 +333,7 @@ class _Stop(Law):
     effect with two ends found one of them (springs between stops, seeds 1 and 2 of ten).
     """
 
+    side: ClassVar[float]  # 1 of an upper end, -1 of a lower one
     kinds = ("rail", "joint")
     reads_position = True
     source = "contact as spring and damper; Hunt, Crossley, Journal of Applied Mechanics 42 (1975)"
@@ -356,34 +345,27 @@ class _Stop(Law):
     relative = {"end": "position"}
     separate = "move slowly up to the end and beyond"
 
-    def _beyond(self, x: Tensor) -> Tensor:
-        raise NotImplementedError
-
     def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        beyond = self._beyond(x)
+        beyond = self.side * torch.relu(self.side * (self.q(x) - self.end))
         return -self.stiffness * beyond - self.damping * beyond.abs() * self.v(x)
 
 
 class StopAbove(_Stop):
     """A stop at the upper end, or one side of a spring with play."""
 
+    side = 1.0
     formula = "-k d - b |d| v, d = max(q - end, 0)"
     shapes = {"end": (-0.4, -0.1, 0.1, 0.25, 0.4, 0.6, 0.8, 0.95)}
     sentence = "A stop holds {it} above {end}, with {stiffness} and {damping}."
-
-    def _beyond(self, x: Tensor) -> Tensor:
-        return torch.relu(self.q(x) - self.end)
 
 
 class StopBelow(_Stop):
     """A stop at the lower end, or one side of a spring with play."""
 
+    side = -1.0
     formula = "-k d - b |d| v, d = min(q - end, 0)"
     shapes = {"end": (0.4, 0.1, -0.1, -0.25, -0.4, -0.6, -0.8, -0.95)}
     sentence = "A stop holds {it} below {end}, with {stiffness} and {damping}."
-
-    def _beyond(self, x: Tensor) -> Tensor:
-        return -torch.relu(self.end - self.q(x))
 
 
 class LinkWeight(_OfAngle):

@@ -149,7 +149,7 @@ class SlungLoad(HiddenSwing):
     source = "to first order; Goodarzi, Lee, Lee, American Control Conference (2014)"
     mass = Size(0.1, "1", low=0.0, help="mass of the load over that of the machine")
     length = Parameter(1.0, "m", low=0.05, high=50.0, scale=0.5, help="from the centre of mass to the load")
-    ways = 2
+    states = 4
     shapes = {"length": (0.5, 2.0), "damping": (0.02, 0.1)}
     fitted_from = tuple({"length": length} for length in (0.35, 0.8, 1.8))
     sentence = "A load of {mass} of the machine's mass swings {length} below it, at {damping} of the critical damping."

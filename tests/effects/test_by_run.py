@@ -1,6 +1,6 @@
 """What differs between runs: each row gets the number of its run, and a run that is not known gets none."""
 
-from typing import Any, ClassVar
+from typing import Any
 
 import pytest
 import torch
@@ -11,7 +11,6 @@ from nsde_torch.effects.by_run import BY_RUN, MASS, RUN, ByRun, difference_name
 from nsde_torch.systems import System, make_system
 from nsde_torch.systems.in_run import difference_on
 from nsde_torch.systems.parameters import ParameterVector
-from tests.helpers.effect_contract import EffectContract
 
 RUNS = torch.tensor([[0.0], [1.0], [2.0], [-1.0], [7.0]], dtype=torch.float64)
 ALL = ("mass_spring_damper", "cartpole", "hexacopter", "quadrotor")
@@ -61,16 +60,6 @@ def test_a_parameter_that_differs_has_its_value_in_each_run() -> None:
     expected = -torch.tensor([0.0, 0.5, -0.25, 0.0, 0.0], dtype=torch.float64) * x[:, 0]
     assert torch.allclose(found - still, expected)
     assert torch.allclose(system.drift(0.0, x, u)[:, 1], still)  # the machine itself stays as it is
-
-
-class TestRunPeriodicForce(EffectContract):
-    name, system, time = "run_periodic_force", "mass_spring_damper", 0.07
-    values: ClassVar[Any] = {"waves": [0.3, -0.2], "frequency": 1.7}
-
-    def rows(self, n: int, *, seed: int = 0) -> tuple[Tensor, Tensor, Tensor]:
-        x, u, memory = super().rows(n, seed=seed)
-        u[:, -1] = 0.0  # the number of the run
-        return x, u, memory
 
 
 def test_forces_and_zeros_of_each_run() -> None:

@@ -6,16 +6,9 @@ from pathlib import Path
 import pytest
 import torch
 
-import tests.effects.test_by_run
-import tests.effects.test_effects_on_machines
-import tests.effects.test_formulas
-import tests.effects.test_lag
-import tests.effects.test_laws_on_coordinates  # noqa: F401
 from nsde_torch.effects import EFFECTS, effects_of
-from nsde_torch.effects.law import split_name
 from nsde_torch.errors import ConfigError
-from nsde_torch.systems import SYSTEMS, make_system, system_class
-from tests.helpers.effect_contract import EffectContract
+from nsde_torch.systems import SYSTEMS, make_system
 
 COGGING = """
 import math
@@ -31,13 +24,6 @@ class Cogging(Effect):
     def forward(self, t, x, u, memory):
         return -self.value("size") * torch.sin(2 * math.pi * x[:, :1] / self.value("pitch"))
 """
-
-
-def test_every_effect_of_the_catalogue_has_its_contract() -> None:
-    own = {name: cls for name, cls in EFFECTS.items() if ":" not in name}  # others are of other tests
-    tried = {cls.name for cls in EffectContract.__subclasses__() if ":" not in cls.name}
-    assert {split_name(system_class("cartpole").effect_key(name))[0] for name in tried} == set(own)
-    assert all(key == cls.name for key, cls in own.items())
 
 
 @pytest.fixture

@@ -12,26 +12,12 @@ from torch import Tensor
 
 from nsde_torch.diagnosis.candidates import why_not
 from nsde_torch.systems import make_system
-from tests.helpers.effect_contract import contract
-from tests.helpers.effect_rows import flying, term
+from tests.helpers.effect_rows import flying, made, term
 
 SPRING, CART, HEXA, QUAD = "mass_spring_damper", "cartpole", "hexacopter", "quadrotor"
 
 # ---- inputs ------------------------------------------------------------------------------------------------
 
-TestActuatorDeadband = contract("actuator_deadband", CART)
-TestActuatorSaturation = contract("actuator_saturation", CART)
-TestAsymmetricDeadband = contract("asymmetric_deadband", CART, signed=True)
-TestAsymmetricGain = contract("asymmetric_gain", CART)
-TestAsymmetricSaturation = contract("asymmetric_saturation", CART, signed=True)
-TestActuatorEfficiencyLoss = contract("actuator_efficiency_loss", CART)
-TestActuatorGainDrift = contract("actuator_gain_drift", SPRING)
-TestMotorEfficiencyLoss = contract("motor_efficiency_loss", QUAD)
-TestThrustSag = contract("thrust_sag", HEXA)
-TestSupplySag = contract("supply_sag", HEXA)
-TestBatteryVoltage = contract("battery_voltage", HEXA)
-TestThrustCurve = contract("thrust_curve", HEXA)
-TestAxialInflow = contract("axial_inflow", QUAD)
 
 COMMANDS = [0.05, -0.3, 2.0, -2.0]
 
@@ -49,7 +35,7 @@ COMMANDS = [0.05, -0.3, 2.0, -2.0]
 )
 def test_what_acts_of_a_command(name: str, values: Mapping[str, float], acts: list[float]) -> None:
     u = torch.tensor(COMMANDS)[:, None]
-    effect = make_system(SPRING, declared=[]).make_effect(name, values)
+    effect = made(SPRING, name, values)
     torch.testing.assert_close(u + term(effect, torch.zeros(4, 2), u, t=20.0), torch.tensor(acts)[:, None])
 
 
@@ -66,23 +52,6 @@ def test_a_command_is_cut_before_the_lag() -> None:
 
 # ---- forces ------------------------------------------------------------------------------------------------
 
-TestConstantForce = contract("constant_force", SPRING)
-TestPeriodicForce = contract("periodic_force", SPRING, values={"sine": 0.3, "cosine": -0.2, "frequency": 1.7})
-TestLinearSpring = contract("linear_spring", SPRING)
-TestCubicStiffness = contract("cubic_stiffness", SPRING)
-TestViscousFriction = contract("viscous_friction", CART)
-TestCoulombFriction = contract("coulomb_friction", SPRING, size=0.01)
-TestAsymmetricFriction = contract("asymmetric_friction", SPRING, size=0.01)
-TestStribeckFriction = contract("stribeck_friction", SPRING, size=0.1)
-TestQuadraticDamping = contract("quadratic_damping", CART)
-TestPositionDependentFriction = contract("position_dependent_friction", SPRING, size=0.1)
-TestLinearDrag = contract("linear_drag", HEXA)
-TestQuadraticDrag = contract("quadratic_drag", QUAD)
-TestRotorDrag = contract("rotor_drag", HEXA)
-TestTranslationalLift = contract("translational_lift", QUAD)
-TestConstantWind = contract("constant_wind", HEXA)
-TestAngularDamping = contract("angular_damping", HEXA)
-TestFlappingMoment = contract("flapping_moment", HEXA)
 
 DRY, DRAG, EXACT = {"size": 0.3, "width": 0.01}, {"drag": [0.1, 0.2, 0.3]}, {"atol": 1e-6, "rtol": 0.0}
 WINDY = {**DRAG, "wind": [2.0, 0.0]}
@@ -133,20 +102,20 @@ def at(*rows: list[float]) -> Tensor:
 def test_what_is_added_to_the_rates(
     system: str, name: str, values: Any, x: Tensor, expected: list[list[float]], within: dict[str, float]
 ) -> None:
-    effect = make_system(system, declared=[]).make_effect(name, values)
+    effect = made(system, name, values)
     torch.testing.assert_close(term(effect, x), torch.tensor(expected), **within)
 
 
 @pytest.mark.parametrize("t", [0.0, 0.125, 0.31])
 def test_a_periodic_force_swings_with_the_clock(t: float) -> None:
-    effect = TestPeriodicForce().make({"sine": 0.3, "cosine": 0.4, "frequency": 2.0})
+    effect = made(SPRING, "periodic_force", {"sine": 0.3, "cosine": 0.4, "frequency": 2.0})
     expected = 0.3 * math.sin(4 * math.pi * t) + 0.4 * math.cos(4 * math.pi * t)
     found = term(effect, torch.zeros(1, 2), t=t)
     torch.testing.assert_close(found, torch.tensor([[expected]]), atol=1e-5, rtol=0)
 
 
 def test_a_periodic_force_keeps_its_phase_on_a_clock_that_starts_far_away() -> None:
-    effect = TestPeriodicForce().make({"sine": 1.0, "cosine": 0.0, "frequency": 0.25})
+    effect = made(SPRING, "periodic_force", {"sine": 1.0, "cosine": 0.0, "frequency": 0.25})
     late = torch.tensor([4.0e6 + 1.0], dtype=torch.float64)
     value = effect(late, torch.zeros(1, 2), torch.zeros(1, 1), torch.zeros(1, 0))
     torch.testing.assert_close(value.detach(), torch.ones(1, 1))
@@ -157,26 +126,26 @@ def test_rotor_drag_is_linear_drag_at_hover_and_twice_that_at_four_times_the_thr
     thrust: float, times: float
 ) -> None:
     u = torch.cat((torch.zeros(1, 6), torch.tensor([[thrust]])), 1)
-    found = term(TestRotorDrag().make(DRAG), flying([2.0, -1.0, 3.0]), u)
+    found = term(made(HEXA, "rotor_drag", DRAG), flying([2.0, -1.0, 3.0]), u)
     torch.testing.assert_close(found, times * torch.tensor([[-0.2, 0.2, -0.9]]), atol=1e-5, rtol=0)
 
 
 def test_losses_curves_and_sag_of_motors() -> None:
     level = flying([0.0, 0.0, 0.0])
-    losses = TestMotorEfficiencyLoss().make({"loss": [0.1, 0.2, 0.3, 0.4]})
+    losses = made(QUAD, "motor_efficiency_loss", {"loss": [0.1, 0.2, 0.3, 0.4]})
     half = term(losses, level, torch.full((1, 4), 0.5))
     torch.testing.assert_close(half, torch.tensor([[-0.05, -0.1, -0.15, -0.2]]))
     u = torch.tensor([[0.1, 0.2, 0.3, 0.4, 0.5, 0.6]])
-    torch.testing.assert_close(term(TestThrustCurve().make({"curvature": 2.0}), level, u), 2.0 * u**2)
-    torch.testing.assert_close(u + term(TestThrustSag().make({"rate": 0.002}), level, u, t=50.0), 0.9 * u)
+    torch.testing.assert_close(term(made(HEXA, "thrust_curve", {"curvature": 2.0}), level, u), 2.0 * u**2)
+    torch.testing.assert_close(u + term(made(HEXA, "thrust_sag", {"rate": 0.002}), level, u, t=50.0), 0.9 * u)
     share = 1.0 - 0.2 * u.mean()  # by what all motors draw
-    torch.testing.assert_close(u + term(TestSupplySag().make({"drop": 0.2}), level, u), share * u)
+    torch.testing.assert_close(u + term(made(HEXA, "supply_sag", {"drop": 0.2}), level, u), share * u)
 
 
 def test_a_centre_of_mass_ahead_lets_the_nose_sink() -> None:
     c, mass, inertia, thrust = np.array([0.02, 0.01, 0.0]), 2.0, 0.05, 10.0
     moment = np.cross(-c, [0.0, 0.0, mass * thrust]) / inertia
-    effect = make_system(HEXA).make_effect("com_offset", {"offset": (c[:2] * mass / inertia).tolist()})
+    effect = made(HEXA, "com_offset", {"offset": (c[:2] * mass / inertia).tolist()})
     u = torch.cat((torch.zeros(1, 6), torch.tensor([[thrust]])), 1)
     found = term(effect, flying([0.0, 0.0, 0.0]), u)[0]
     torch.testing.assert_close(found, torch.from_numpy(moment).float())
@@ -185,7 +154,7 @@ def test_a_centre_of_mass_ahead_lets_the_nose_sink() -> None:
 
 def test_at_half_a_metre_a_rotor_lifts_as_cheeseman_and_bennett_say() -> None:
     radius, z = 0.4, 0.5
-    effect = make_system(HEXA).make_effect("ground_effect", {"area": (radius / 4) ** 2, "height": 1e-4})
+    effect = made(HEXA, "ground_effect", {"area": (radius / 4) ** 2, "height": 1e-4})
     x, u = flying([0.0, 0.0, 0.0]), torch.cat((torch.zeros(1, 6), torch.tensor([[10.0]])), 1)
     x[0, 2] = z
     exact = 10.0 * (1 / (1 - (radius / (4 * z)) ** 2) - 1)

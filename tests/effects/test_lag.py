@@ -1,6 +1,4 @@
-"""Effects with memory: lags, delays and hysteresis in closed form, and what each contract says."""
-
-from typing import ClassVar
+"""Effects with memory: lags, delays and hysteresis in closed form."""
 
 import numpy as np
 import pytest
@@ -13,110 +11,71 @@ from nsde_torch.effects.actuators import InputPlay
 from nsde_torch.effects.forces import HiddenMass, Hysteresis
 from nsde_torch.effects.multirotor_forces import SlungLoad
 from nsde_torch.systems import make_system
-from tests.helpers.effect_contract import EffectContract, contract
-from tests.helpers.effect_rows import flying
+from tests.helpers.effect_rows import flying, machine_with, made
+
+SPRING, RESONANCE, DT = "mass_spring_damper", {"period": 0.5, "damping": 0.3}, 0.01
 
 
-class TestMotorLag(EffectContract):
-    name, system, memory = "motor_lag", "hexacopter", 6
+def test_a_step_up_is_followed_by_one_time_constant_and_one_down_by_the_other() -> None:
+    s = machine_with("quadrotor", "asymmetric_lag", {"rising": 0.03, "falling": 0.11}).double()
+    for before, after, tau in ((0.3, 0.5, 0.03), (0.5, 0.3, 0.11)):
+        z = torch.cat((flying([0.0, 0.0, 1.0])[:1].double(), torch.full((1, 4), before).double()), 1)
+        for _ in range(20):
+            z = _rk4(s, z, torch.full((1, 4), after, dtype=torch.float64), 0.005)
+        expected = after + (before - after) * np.exp(-0.1 / tau)
+        np.testing.assert_allclose(z[:, 13:].numpy(), expected, atol=1e-6)
 
-    def test_a_step_of_the_command_is_followed_exponentially(self) -> None:
-        tau, dt, n = 0.08, 0.005, 100
-        s = self.machine(values={"motor_lag.time_constant": tau}).double()
-        x0 = torch.zeros(1, 13, dtype=torch.float64)
-        x0[0, 6] = 1.0
-        before, after = 0.2, 0.6
-        path, u = (
-            [torch.cat((x0, torch.full((1, 6), before).double()), 1)],
-            torch.full((1, 6), after).double(),
+
+def test_a_held_step_is_followed_in_a_straight_line() -> None:
+    effect = made(SPRING, "actuator_rate_limit", {"rate": 4.0}).double()
+    effect.step, x = 0.1, torch.zeros(3, 2).double()
+    memory, u = (torch.tensor(rows).double()[:, None] for rows in ([1.0, 1.0, -1.0], [1.0, 3.0, -1.1]))
+    fine = torch.linspace(0.0, 0.1, 20001).double()
+    path = memory + (u - memory).sign() * torch.minimum(4.0 * fine, (u - memory).abs())
+    mean = u + effect(0.0, x, u, memory)
+    torch.testing.assert_close(mean[:, 0].detach(), path.mean(1), atol=1e-5, rtol=0.0)
+    after = memory + 0.1 * effect.memory_rate(0.0, x, u, memory)
+    torch.testing.assert_close(after[:, 0].detach(), path[:, -1])
+
+
+@torch.no_grad()
+def test_what_acts_of_held_inputs_is_what_step_after_step_makes() -> None:
+    effect, u = made(SPRING, "actuator_rate_limit", {"rate": 4.0}).double(), torch.randn(50, 1).double()
+    effect.step, memory, x = 0.1, u[:1], torch.zeros(1, 2).double()
+    means = []
+    for row in u[:, None]:
+        means.append(row + effect(0.0, x, row, memory))
+        memory = memory + 0.1 * effect.memory_rate(0.0, x, row, memory)
+    torch.testing.assert_close(effect.held(u, 0.1), torch.cat(means))
+
+
+def test_a_step_of_the_command_is_followed_as_the_equation_says() -> None:
+    s = machine_with(SPRING, "actuator_resonance", RESONANCE).double()
+    z, u = torch.zeros(1, 4).double(), torch.ones(1, 1).double()
+    for _ in range(200):
+        z = _rk4(s, z, u, 0.005)
+    w, d, t = 4.0 * np.pi, 0.3, 1.0
+    fast = w * np.sqrt(1.0 - d * d)
+    expected = 1.0 - np.exp(-d * w * t) * (np.cos(fast * t) + d * w / fast * np.sin(fast * t))
+    assert float(z[0, 2]) == pytest.approx(expected, abs=1e-5)
+
+
+@torch.no_grad()
+def test_what_follows_held_inputs_is_what_integration_makes() -> None:
+    effect, u = made(SPRING, "actuator_resonance", RESONANCE).double(), torch.randn(30, 1).double()
+    x, rows = torch.zeros(1, 2).double(), []
+    memory = effect.memory_start(x, u[:1])
+    for row in u[:, None]:
+        rows.append(memory)
+        now = solve_ivp(
+            lambda t, m, row=row: effect.memory_rate(t, x, row, torch.from_numpy(m)[None])[0].numpy(),
+            (0.0, 0.05),
+            memory[0].numpy(),
+            rtol=1e-9,
+            atol=1e-11,
         )
-        for _ in range(n):  # from memory that is not yet at rest
-            path.append(_rk4(s, path[-1], u, dt))
-        motors = torch.cat(path)[:, 13:].numpy()
-        t = dt * np.arange(n + 1)
-        expected = before + (after - before) * (1 - np.exp(-t / tau))
-        np.testing.assert_allclose(motors, np.tile(expected[:, None], (1, 6)), atol=2e-6)
-
-
-TestActuatorLag = contract("actuator_lag", "cartpole", memory=1)
-
-
-class TestAsymmetricLag(EffectContract):
-    name, system, memory = "asymmetric_lag", "quadrotor", 4
-    values: ClassVar = {"rising": 0.03, "falling": 0.11}
-
-    def test_a_step_up_is_followed_by_one_time_constant_and_one_down_by_the_other(self) -> None:
-        s = self.machine(values={f"asymmetric_lag.{k}": v for k, v in self.values.items()}).double()
-        for before, after, tau in ((0.3, 0.5, 0.03), (0.5, 0.3, 0.11)):
-            z = torch.cat((flying([0.0, 0.0, 1.0])[:1].double(), torch.full((1, 4), before).double()), 1)
-            for _ in range(20):
-                z = _rk4(s, z, torch.full((1, 4), after, dtype=torch.float64), 0.005)
-            expected = after + (before - after) * np.exp(-0.1 / tau)
-            np.testing.assert_allclose(z[:, 13:].numpy(), expected, atol=1e-6)
-
-
-class TestActuatorRateLimit(EffectContract):
-    name, system, memory = "actuator_rate_limit", "mass_spring_damper", 1
-    values: ClassVar = {"rate": 4.0}
-
-    def test_a_held_step_is_followed_in_a_straight_line(self) -> None:
-        effect = self.make({"rate": 4.0}).double()
-        effect.step, x = 0.1, torch.zeros(3, 2).double()
-        memory, u = (
-            torch.tensor([[1.0], [1.0], [-1.0]]).double(),
-            torch.tensor([[1.0], [3.0], [-1.1]]).double(),
-        )
-        fine = torch.linspace(0.0, 0.1, 20001).double()
-        path = memory + (u - memory).sign() * torch.minimum(4.0 * fine, (u - memory).abs())
-        mean = u + effect(0.0, x, u, memory)
-        torch.testing.assert_close(mean[:, 0].detach(), path.mean(1), atol=1e-5, rtol=0.0)
-        after = memory + 0.1 * effect.memory_rate(0.0, x, u, memory)
-        torch.testing.assert_close(after[:, 0].detach(), path[:, -1])
-
-    @torch.no_grad()
-    def test_what_acts_of_held_inputs_is_what_step_after_step_makes(self) -> None:
-        effect, u = self.make({"rate": 4.0}).double(), torch.randn(50, 1).double()
-        effect.step, memory, x = 0.1, u[:1], torch.zeros(1, 2).double()
-        means = []
-        for row in u[:, None]:
-            means.append(row + effect(0.0, x, row, memory))
-            memory = memory + 0.1 * effect.memory_rate(0.0, x, row, memory)
-        torch.testing.assert_close(effect.held(u, 0.1), torch.cat(means))
-
-
-class TestActuatorResonance(EffectContract):
-    name, system, memory = "actuator_resonance", "mass_spring_damper", 2
-    values: ClassVar = {"period": 0.5, "damping": 0.3}
-
-    def test_a_step_of_the_command_is_followed_as_the_equation_says(self) -> None:
-        s = self.machine(values={f"actuator_resonance.{k}": v for k, v in self.values.items()}).double()
-        z, u = torch.zeros(1, 4).double(), torch.ones(1, 1).double()
-        for _ in range(200):
-            z = _rk4(s, z, u, 0.005)
-        w, d, t = 4.0 * np.pi, 0.3, 1.0
-        fast = w * np.sqrt(1.0 - d * d)
-        expected = 1.0 - np.exp(-d * w * t) * (np.cos(fast * t) + d * w / fast * np.sin(fast * t))
-        assert float(z[0, 2]) == pytest.approx(expected, abs=1e-5)
-
-    @torch.no_grad()
-    def test_what_follows_held_inputs_is_what_integration_makes(self) -> None:
-        effect, u = self.make(self.values).double(), torch.randn(30, 1).double()
-        memory, x, rows = (
-            effect.memory_start(torch.zeros(1, 2).double(), u[:1]),
-            torch.zeros(1, 2).double(),
-            [],
-        )
-        for row in u[:, None]:
-            rows.append(memory)
-            now = solve_ivp(
-                lambda t, m, row=row: effect.memory_rate(t, x, row, torch.from_numpy(m)[None])[0].numpy(),
-                (0.0, 0.05),
-                memory[0].numpy(),
-                rtol=1e-9,
-                atol=1e-11,
-            )
-            memory = torch.from_numpy(now.y[:, -1])[None]
-        torch.testing.assert_close(effect.held(u, 0.05), torch.cat((*rows, memory)), atol=1e-7, rtol=0.0)
+        memory = torch.from_numpy(now.y[:, -1])[None]
+    torch.testing.assert_close(effect.held(u, 0.05), torch.cat((*rows, memory)), atol=1e-7, rtol=0.0)
 
 
 def _rk4(s: torch.nn.Module, z: torch.Tensor, u: torch.Tensor, dt: float) -> torch.Tensor:
@@ -128,35 +87,33 @@ def _rk4(s: torch.nn.Module, z: torch.Tensor, u: torch.Tensor, dt: float) -> tor
         return z + dt / 6 * (a + 2 * b + 2 * c + d)
 
 
-class TestInputDelay(EffectContract):
-    name, system, memory = "input_delay", "cartpole", 2
+def test_a_slow_input_comes_out_late_and_whole() -> None:
+    delay = 0.05
+    effect = made("cartpole", "input_delay", {"delay": delay}).double()
+    x, one = torch.zeros(1, 4).double(), torch.ones(1, 1).double()
+    columns = [  # the linear system behind the effect, column by column
+        effect.memory_rate(0.0, x, 0 * one, m[None])[0].detach().numpy() for m in torch.eye(2).double()
+    ]
+    a = np.stack(columns, 1)
+    b = effect.memory_rate(0.0, x, one, torch.zeros(1, 2).double())[0].detach().numpy()
+    c = np.array([1.0, -1.0 / 3.0])
+    for omega in (0.1, 2.0, 10.0, 20.0):
+        response = c @ np.linalg.solve(1j * omega * np.eye(2) - a, b)
+        wanted = np.exp(-1j * omega * delay)
+        assert abs(response - wanted) < 0.02 * max(omega * delay, 0.01)
+    assert np.abs(expm(10.0 * a)).max() < 1e-6  # what was before is forgotten
 
-    def test_a_slow_input_comes_out_late_and_whole(self) -> None:
-        delay = 0.05
-        effect = self.make({"delay": delay}).double()
-        x, one = torch.zeros(1, 4).double(), torch.ones(1, 1).double()
-        columns = [  # the linear system behind the effect, column by column
-            effect.memory_rate(0.0, x, 0 * one, m[None])[0].detach().numpy() for m in torch.eye(2).double()
-        ]
-        a = np.stack(columns, 1)
-        b = effect.memory_rate(0.0, x, one, torch.zeros(1, 2).double())[0].detach().numpy()
-        c = np.array([1.0, -1.0 / 3.0])
-        for omega in (0.1, 2.0, 10.0, 20.0):
-            response = c @ np.linalg.solve(1j * omega * np.eye(2) - a, b)
-            wanted = np.exp(-1j * omega * delay)
-            assert abs(response - wanted) < 0.02 * max(omega * delay, 0.01)
-        assert np.abs(expm(10.0 * a)).max() < 1e-6  # what was before is forgotten
 
-    def test_a_delay_comes_before_a_lag_whatever_the_order_of_their_names(self) -> None:
-        x, u = flying([0.0, 0.0, 0.0]), torch.full((1, 6), 0.4)
-        for names in (["input_delay", "motor_lag"], ["motor_lag", "input_delay"]):
-            s = make_system("hexacopter", effects=names, values={"thrust_gain": 5.0})
-            z = s.augment(x, u)
-            rate = s.drift(0.0, z, torch.full((1, 6), 0.9))[0]
-            # the lag still holds the old command, and the new one has not come through
-            torch.testing.assert_close(rate[5] + 9.81, torch.tensor(5.0 * 6 * 0.4))
-            start = 13 + (12 if names[0] == "input_delay" else 0)
-            torch.testing.assert_close(rate[start : start + 6], torch.zeros(6))
+def test_a_delay_comes_before_a_lag_whatever_the_order_of_their_names() -> None:
+    x, u = flying([0.0, 0.0, 0.0]), torch.full((1, 6), 0.4)
+    for names in (["input_delay", "motor_lag"], ["motor_lag", "input_delay"]):
+        s = make_system("hexacopter", effects=names, values={"thrust_gain": 5.0})
+        z = s.augment(x, u)
+        rate = s.drift(0.0, z, torch.full((1, 6), 0.9))[0]
+        # the lag still holds the old command, and the new one has not come through
+        torch.testing.assert_close(rate[5] + 9.81, torch.tensor(5.0 * 6 * 0.4))
+        start = 13 + (12 if names[0] == "input_delay" else 0)
+        torch.testing.assert_close(rate[start : start + 6], torch.zeros(6))
 
 
 @pytest.mark.parametrize("name", ["input_delay", "motor_lag"])
@@ -175,31 +132,6 @@ def test_coarse_steps_stay_stable_and_keep_the_mean_delay(name: str, delay: floa
         late = -effect(0.0, x, u, m).detach()
         m = m + dt * effect.memory_rate(0.0, x, u, m).detach()
     torch.testing.assert_close(late, torch.full_like(late, delay), rtol=1e-3, atol=1e-6)
-
-
-DT = 0.01
-
-
-TestHysteresis = contract("hysteresis", "mass_spring_damper", memory=1)
-TestInputPlay = contract("input_play", "mass_spring_damper", memory=1)
-
-
-TestRelaxation = contract("relaxation", "mass_spring_damper", memory=1)
-
-
-class TestViscoelasticity(EffectContract):
-    name, system, memory = "viscoelasticity", "mass_spring_damper", 1
-
-    def test_its_memory_starts_at_rest(self) -> None:
-        """Without force, whatever it moves at: what moved before the log is not known, and was to and fro."""
-        effect = self.make()
-        x, u, _ = self.rows(4)
-        assert effect(0.0, x, u, effect.memory_start(x, u)).tolist() == [[0.0]] * 4
-
-
-TestHiddenMass = contract("hidden_mass", "mass_spring_damper", memory=2)
-TestHiddenMassOfPole = contract("hidden_mass[pole]", "cartpole", memory=2)
-TestSlungLoad = contract("slung_load", "hexacopter", memory=4)
 
 
 @pytest.mark.parametrize(("name", "begins"), [("relaxation", 0.5), ("viscoelasticity", 0.0)])
@@ -292,8 +224,3 @@ def test_play_is_its_own_definition() -> None:
     assert acts.tolist() == pytest.approx([0.0, 0.25, 0.75, 0.75, 0.55, -0.25, -0.25])
     x = u.new_zeros(len(u), 2)
     torch.testing.assert_close(u + effect.double()(0.0, x, u, acts[:, None]), acts[:, None])
-
-
-TestExchange = contract("exchange", "tests.diagnosis.test_stores:Room")
-TestDriftVelocity = contract("drift_velocity[x]", "tests.diagnosis.test_places:Boat")
-TestLagOfOneInput = contract("asymmetric_lag[tau1]", "tests.helpers.two_joints:TwoJoints", memory=1)

@@ -1,5 +1,6 @@
 """Laws of one coordinate: made for each coordinate of a machine, on its columns, in its units, and nowhere else."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -26,8 +27,7 @@ from nsde_torch.errors import ConfigError
 from nsde_torch.systems import ResidualPort, System, make_system, system_class
 from nsde_torch.systems.coordinates import check_pushes
 from nsde_torch.systems.parameters import ParameterVector
-from tests.helpers.effect_contract import EffectContract, contract
-from tests.helpers.effect_rows import term
+from tests.helpers.effect_rows import made, term
 from tests.helpers.two_joints import HOME, TwoJoints
 
 X = torch.tensor([[3.0, -0.5, 0.4, 0.2]])  # w2, w1, q2, q1
@@ -58,78 +58,50 @@ class Far(Narrow):  # reads columns that are not there
         return x[:, [8, 9]]
 
 
-class TestLoadFriction(EffectContract):
-    name, system, size = "load_friction[q1]", HOME, 0.1
-
-    def test_it_is_in_proportion_to_the_load(self) -> None:
-        effect = self.make({"coefficient": 0.1, "width": 0.01})
-        u = torch.tensor([[0.0, 0.0, 5.0]])  # two inputs, then the load
-        torch.testing.assert_close(term(effect, X, u), torch.tensor([[0.5, 0.0]]))
+STOP = {"stiffness": 2.0, "damping": 0.5, "end": 0.1}
 
 
-class TestRipple(EffectContract):
-    name, system = "ripple[q2]", HOME
-    values = {"sine": 0.2, "cosine": 0.1, "order": 3.0}
-
-    def test_it_repeats_with_the_angle_of_its_joint(self) -> None:
-        effect = self.make({"sine": 0.2, "order": 5.0})
-        expected = 0.2 * torch.sin(torch.tensor(5.0 * 0.4))
-        torch.testing.assert_close(term(effect, X), torch.stack([torch.zeros(()), expected])[None])
-
-
-class TestStopAbove(EffectContract):
-    name, system = "stop_above[q2]", HOME
-    values = {"stiffness": 2.0, "damping": 0.5, "end": 0.1}
-
-    @pytest.mark.parametrize(("q", "force"), [(-0.5, 0.0), (0.1, 0.0), (0.4, -0.6 - 0.045)])
-    def test_it_pushes_back_beyond_its_end_alone(self, q: float, force: float) -> None:
-        x = torch.tensor([[0.3, 0.0, q, 0.0]])
-        expected = torch.tensor([[0.0, force]])
-        torch.testing.assert_close(term(self.make(self.values), x), expected, atol=1e-6, rtol=0.0)
-
-    def test_a_stop_below_is_its_mirror_image(self) -> None:
-        above, below = self.make(self.values), make_system(HOME).make_effect("stop_below[q2]", None)
-        for name, value in {**self.values, "end": -0.1}.items():
-            below.set_value(name, value)
-        for q in (-0.5, 0.0, 0.3):
-            x = torch.tensor([[0.3, 0.0, q, 0.0]])
-            torch.testing.assert_close(term(below, -x), -term(above, x))
+@pytest.mark.parametrize(
+    ("name", "values", "x", "expected"),
+    [
+        ("coulomb_friction[q1]", {"size": 0.3, "width": 0.01}, X, [0.3, 0.0]),
+        ("coulomb_friction[q2]", {"size": 0.3, "width": 0.01}, X, [0.0, -0.3]),
+        ("load_friction[q1]", {"coefficient": 0.1, "width": 0.01}, X, [0.5, 0.0]),
+        ("ripple[q2]", {"sine": 0.2, "order": 5.0}, X, [0.0, 0.2 * math.sin(5.0 * 0.4)]),
+        # a stop pushes back beyond its end alone, and one below is its mirror image
+        ("stop_above[q2]", STOP, torch.tensor([[0.3, 0.0, -0.5, 0.0]]), [0.0, 0.0]),
+        ("stop_above[q2]", STOP, torch.tensor([[0.3, 0.0, 0.1, 0.0]]), [0.0, 0.0]),
+        ("stop_above[q2]", STOP, torch.tensor([[0.3, 0.0, 0.4, 0.0]]), [0.0, -0.6 - 0.045]),
+        ("stop_below[q2]", {**STOP, "end": -0.1}, torch.tensor([[-0.3, 0.0, -0.4, 0.0]]), [0.0, 0.6 + 0.045]),
+        ("stop_below[q2]", {**STOP, "end": -0.1}, torch.tensor([[-0.3, 0.0, 0.5, 0.0]]), [0.0, 0.0]),
+    ],
+)
+def test_a_law_acts_on_the_columns_and_the_row_of_its_coordinate_alone(
+    name: str, values: dict[str, float], x: Tensor, expected: list[float]
+) -> None:
+    u = torch.tensor([[0.0, 0.0, 5.0]])  # two inputs, then the load
+    found = term(made(HOME, name, values), x, u)
+    torch.testing.assert_close(found, torch.tensor([expected]), atol=1e-6, rtol=1e-6)
 
 
-TestStopBelow = contract("stop_below[q2]", HOME)
+def test_a_weight_is_no_candidate_where_the_first_link_of_a_chain_or_gravity_itself_is() -> None:
+    able = TwoJoints.able_effects()
+    assert "gravity_torque[q2]" in able
+    assert "gravity_torque[q1]" not in able
+    assert "gravity and track_tilt" in why_not(make_system("cartpole"), "gravity_torque[pole]")
 
 
-class TestGravityTorque(EffectContract):
-    name, system = "gravity_torque[q2]", HOME
-
-    def test_it_is_no_candidate_where_the_first_link_of_a_chain_or_gravity_itself_is(self) -> None:
-        able = TwoJoints.able_effects()
-        assert "gravity_torque[q2]" in able
-        assert "gravity_torque[q1]" not in able
-        assert "gravity and track_tilt" in why_not(make_system("cartpole"), "gravity_torque[pole]")
-
-
-class TestLinkWeight(EffectContract):
-    name, system = "link_weight[q2]", HOME
-
-    @pytest.mark.parametrize("link", [1, 2])
-    def test_it_is_another_weight_in_the_equations_of_a_double_pendulum(self, link: int) -> None:
-        home = "examples.double_pendulum.double_pendulum:DoublePendulum"
-        x, u = torch.tensor([[0.3, -0.8, 0.5, 1.0], [2.0, 0.7, -0.4, 0.2]]), torch.full((2, 2), 0.1)
-        sound = make_system(home, values={f"g{link}": 2.0}).drift(0.0, x, u)
-        name, lighter = f"link_weight[q{link}]", {f"g{link}": 2.3, f"link_weight[q{link}].sine": 0.3}
-        same = make_system(home, effects=[name], values=lighter).drift(0.0, x, u)
-        torch.testing.assert_close(same.detach(), sound.detach())
+@pytest.mark.parametrize("link", [1, 2])
+def test_a_link_weight_is_another_weight_in_the_equations_of_a_double_pendulum(link: int) -> None:
+    home = "examples.double_pendulum.double_pendulum:DoublePendulum"
+    x, u = torch.tensor([[0.3, -0.8, 0.5, 1.0], [2.0, 0.7, -0.4, 0.2]]), torch.full((2, 2), 0.1)
+    sound = make_system(home, values={f"g{link}": 2.0}).drift(0.0, x, u)
+    name, lighter = f"link_weight[q{link}]", {f"g{link}": 2.3, f"link_weight[q{link}].sine": 0.3}
+    same = make_system(home, effects=[name], values=lighter).drift(0.0, x, u)
+    torch.testing.assert_close(same.detach(), sound.detach())
 
 
-TestJointFriction = contract("coulomb_friction[q2]", HOME, size=0.01)
-
-
-def test_a_law_acts_on_the_columns_and_the_row_of_its_coordinate_alone() -> None:
-    system = make_system(HOME)
-    for name, expected in (("q1", [0.3, 0.0]), ("q2", [0.0, -0.3])):
-        effect = system.make_effect(f"coulomb_friction[{name}]", {"size": 0.3, "width": 0.01})
-        torch.testing.assert_close(term(effect, X), torch.tensor([expected]))
+def test_laws_of_two_coordinates_have_values_of_their_own() -> None:
     both = make_system(
         HOME,
         effects=["viscous_friction[q1]", "viscous_friction[q2]"],
@@ -283,37 +255,19 @@ def test_a_coordinate_on_the_wrong_row_is_refused_before_a_diagnosis() -> None:
     class Crossed(TwoJoints):
         coordinates = (replace(TwoJoints.coordinates[0], row=1), replace(TwoJoints.coordinates[1], row=0))
 
-    x, u = torch.zeros(3, 4), torch.zeros(3, 2)
-    check_pushes(TwoJoints(), x, u)
+    for system in (make_system(n) for n in ("mass_spring_damper", "cartpole", HOME)):
+        check_pushes(system, torch.zeros(3, system.nx), torch.zeros(3, system.nu))
     with pytest.raises(ConfigError, match=r"'q1'.*row 1.*'w1' \(it speeds up w2\)"):
-        check_pushes(Crossed(), x, u)
+        check_pushes(Crossed(), torch.zeros(3, 4), torch.zeros(3, 2))
 
 
-def test_pushing_a_coordinate_of_the_package_speeds_up_its_own_velocity() -> None:
-    systems: list[System] = [make_system(n) for n in ("mass_spring_damper", "cartpole", HOME)]
-    for system in systems:
-        x, u = torch.zeros(1, system.nx), torch.zeros(1, system.nu)
-        for at in system.bound_coordinates():
-            pushed = torch.zeros(1, at.width)
-            pushed[0, at.row] = 1.0
-            change = system.drift(0.0, x, u, {at.port: pushed}) - system.drift(0.0, x, u)
-            assert float(change[0, at.velocity].detach()) > 0
+def test_it_is_another_inertia_of_its_joint() -> None:
+    u = torch.tensor([[0.4, -0.7]])
+    heavy = make_system(HOME, values={"inertia": [0.5, 0.25]}).drift(0.0, X, u)
+    effect = {"effects": ["added_inertia[q2]"], "values": {"added_inertia[q2].share": 0.2}}
+    same = make_system(HOME, **effect).drift(0.0, X, u)
+    torch.testing.assert_close(same.detach(), heavy.detach())
 
-
-class TestAddedInertia(EffectContract):
-    name, system = "added_inertia[q2]", HOME
-
-    def test_it_is_another_inertia_of_its_joint(self) -> None:
-        u = torch.tensor([[0.4, -0.7]])
-        heavy = make_system(HOME, values={"inertia": [0.5, 0.25]}).drift(0.0, X, u)
-        effect = {"effects": ["added_inertia[q2]"], "values": {"added_inertia[q2].share": 0.2}}
-        same = make_system(HOME, **effect).drift(0.0, X, u)
-        torch.testing.assert_close(same.detach(), heavy.detach())
-
-
-TestLagOfOneInput = contract("actuator_lag[tau2]", HOME, memory=1, signed=True)
-TestDelayOfOneInput = contract("input_delay[tau1]", HOME, memory=2, signed=True)
-TestPlayOfOneInput = contract("input_play[tau2]", HOME, memory=1, signed=True)
 
 EACH = sorted(name for name, cls in EFFECTS.items() if cls.each_input)
 

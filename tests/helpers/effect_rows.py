@@ -1,10 +1,13 @@
 """States and terms of effects that tests work out by hand."""
 
+from collections.abc import Mapping
+
 import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
 from nsde_torch.effects import Effect
+from nsde_torch.systems import System, make_system
 
 
 def term(effect: Effect, x: torch.Tensor, u: torch.Tensor | None = None, *, t: float = 0.0) -> torch.Tensor:
@@ -22,3 +25,16 @@ def flying(
     x[0, 6:10] = torch.from_numpy(np.roll((attitude or Rotation.identity()).as_quat(), 1)).float()
     x[0, 10:] = torch.tensor(rates)
     return x
+
+
+def made(system: str, name: str, values: Mapping[str, float | list[float]] | None = None) -> Effect:
+    """An effect as it is on a machine."""
+    return make_system(system, declared=[]).make_effect(name, values)
+
+
+def machine_with(
+    system: str, name: str, values: Mapping[str, float | list[float]] | None = None, **of_machine: float
+) -> System:
+    """A machine with this effect, which has these values, and no other."""
+    own = {f"{name}.{key}": value for key, value in (values or {}).items()}
+    return make_system(system, declared=[], effects=[name], values={**of_machine, **own})

@@ -15,7 +15,7 @@ geometry's, those of yaw the propellers'. The supplement leaves J^-1 off the las
 
 from collections.abc import Mapping, Sequence
 from math import pi
-from typing import ClassVar, final
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -82,17 +82,13 @@ class Multirotor(System):
     over_mass = ("thrust_gain", "thrust_offset")
     disturbed_ports = (Port.BODY_FORCE, Port.BODY_MOMENT)
     position_derivatives = (("p_x", "v_x", "world"), ("p_y", "v_y", "world"), ("p_z", "v_z", "world"))
-    PARAMETERS = {
-        "thrust_gain": Parameter(4.5, "m/s2", low=0.0, help="thrust over mass per unit of summed command"),
-        "thrust_offset": Parameter(0.0, "m/s2", scale=1.0, help="thrust over mass at zero command"),
-        "roll_gain": Parameter(
-            50.0, "rad/s2", low=0.0, help="roll moment over Jx per unit of signed command"
-        ),
-        "pitch_gain": Parameter(50.0, "rad/s2", low=0.0, help="pitch moment over Jy per unit"),
-        "yaw_gain": Parameter(8.0, "rad/s2", low=0.0, help="yaw moment over Jz per unit"),
-        "inertia_x": Parameter(0.7, "1", low=0.3, high=1.5, help="Jx / Jz"),
-        "inertia_y": Parameter(0.7, "1", low=0.3, high=1.5, help="Jy / Jz"),
-    }
+    thrust_gain = Parameter(4.5, "m/s2", low=0.0, help="thrust over mass per unit of summed command")
+    thrust_offset = Parameter(0.0, "m/s2", scale=1.0, help="thrust over mass at zero command")
+    roll_gain = Parameter(50.0, "rad/s2", low=0.0, help="roll moment over Jx per unit of signed command")
+    pitch_gain = Parameter(50.0, "rad/s2", low=0.0, help="pitch moment over Jy per unit")
+    yaw_gain = Parameter(8.0, "rad/s2", low=0.0, help="yaw moment over Jz per unit")
+    inertia_x = Parameter(0.7, "1", low=0.3, high=1.5, help="Jx / Jz")
+    inertia_y = Parameter(0.7, "1", low=0.3, high=1.5, help="Jy / Jz")
 
     def __init__(
         self,
@@ -140,7 +136,7 @@ class Multirotor(System):
         if name == "spin":  # speeds of rotors go with the roots of their thrusts
             return (torch.sqrt(self._thrusts(u).clamp_min(_STILL)) * self.mix[:, 3]).sum(1, keepdim=True)
         if name == "inertia":
-            return torch.cat((self.value("inertia_x"), self.value("inertia_y"))).expand(len(x), 2)
+            return torch.cat((self.inertia_x, self.inertia_y)).expand(len(x), 2)
         thrust, moments = self._thrust_and_moments(u)
         return thrust if name == "thrust" else self._angular(x[:, 10:13], moments)
 
@@ -155,13 +151,13 @@ class Multirotor(System):
         """Thrust over mass (N, 1) and mixed commands of roll, pitch and yaw (N, 3)."""
         u = self._thrusts(u)
         collective, moments = split_columns(u @ self.mix if few() else (self.mix.T @ u.T).T, 1, 3)
-        return self.value("thrust_gain") * collective + self.value("thrust_offset"), moments
+        return self.thrust_gain * collective + self.thrust_offset, moments
 
     def _angular(self, omega: Tensor, moments: Tensor) -> Tensor:
         """Angular acceleration (N, 3) under mixed commands, without effects."""
-        gains = _of_axes(self.value("roll_gain"), self.value("pitch_gain"), self.value("yaw_gain"))
-        jx, jy = self.value("inertia_x"), self.value("inertia_y")
-        return gains * moments + _of_axes(*rotation.euler_coupling(jx, jy)) * rotation.rate_products(omega)
+        gains = _of_axes(self.roll_gain, self.pitch_gain, self.yaw_gain)
+        coupling = _of_axes(*rotation.euler_coupling(self.inertia_x, self.inertia_y))
+        return gains * moments + coupling * rotation.rate_products(omega)
 
     def features(self, x: Tensor) -> Tensor:
         """Body velocity and body rates, the supplement's x_feat seen from the body."""
@@ -217,7 +213,6 @@ class Multirotor(System):
         return out
 
 
-@final
 class Hexacopter(Multirotor):
     """Hexacopter, PX4's hexa-x: 1 right, 2 left, 3 front-left, 4 rear-right, 5 front-right, 6 rear-left."""
 
@@ -232,7 +227,6 @@ class Hexacopter(Multirotor):
     )
 
 
-@final
 class Quadrotor(Multirotor):
     """Quadrotor, PX4's quad-x: 1 front-right, 2 rear-left, 3 front-left, 4 rear-right."""
 

@@ -6,7 +6,7 @@ the parameters are k/m, b/m and 1/m.
 
 from collections.abc import Mapping
 from math import pi
-from typing import ClassVar, final
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -31,7 +31,6 @@ class OneDegreeOfFreedom(System):
         return torch.cat((x[:, 1:], acceleration), 1)
 
 
-@final
 class MassSpringDamper(OneDegreeOfFreedom):
     """A mass on a spring with a damper and an optional force. `declared=[]` leaves q'' wholly to the network."""
 
@@ -47,7 +46,7 @@ class MassSpringDamper(OneDegreeOfFreedom):
     optional_inputs = ("force",)
     over_mass = ("force_gain",)
     position_derivatives = (("q", "q_dot", "world"),)
-    PARAMETERS = {"force_gain": Parameter(1.0, "1/kg", low=0.0, help="1 / mass")}
+    force_gain = Parameter(1.0, "1/kg", low=0.0, help="1 / mass")
 
     @property
     def physics_ports(self) -> set[Port]:
@@ -76,7 +75,6 @@ _OF_THE_CART = (
 )
 
 
-@final
 class Cartpole(System):
     """A pole on a cart that a force pushes."""
 
@@ -109,17 +107,15 @@ class Cartpole(System):
         **{law: f"{law}[cart]" for law in _OF_THE_CART},
         "angle_bias": "position_bias[pole]",
     }
-    PARAMETERS = {
-        "force_gain": Parameter(0.9, "1/kg", low=0.0, help="1 / total mass"),
-        "pole_share": Parameter(0.1, "1", low=0.0, high=0.95, help="pole mass over total mass"),
-        "half_length": Parameter(0.5, "m", low=0.02, help="half the length of the pole"),
-    }
+    force_gain = Parameter(0.9, "1/kg", low=0.0, help="1 / total mass")
+    pole_share = Parameter(0.1, "1", low=0.0, high=0.95, help="pole mass over total mass")
+    half_length = Parameter(0.5, "m", low=0.02, help="half the length of the pole")
 
     def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
         x_dot, theta, theta_dot = x[:, 1:2], x[:, 2:3], x[:, 3:4]
-        share, length = self.value("pole_share"), self.value("half_length")
+        share, length = self.pole_share, self.half_length
         sin, cos = torch.sin(theta), torch.cos(theta)
-        a = self.value("force_gain") * u + share * length * theta_dot * theta_dot * sin
+        a = self.force_gain * u + share * length * theta_dot * theta_dot * sin
         if Port.FORCE in forces:
             a = a + forces[Port.FORCE]
         turning = (GRAVITY * sin - cos * a) / length

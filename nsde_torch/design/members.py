@@ -48,13 +48,9 @@ Drive = Callable[[int, Tensor], Tensor]
 _SUBSTEPS = 8
 
 
-@dataclass(frozen=True)
-class Disturbances:
-    """What acts on experiments beside the inputs."""
-
-    forces: Array  # disturbances held over each step (B, N, nd)
-    ports: tuple[tuple[Port, int], ...]  # columns of the ports that these act on
-    errors: Array  # errors of the sensors (B, N + 1, ne)
+Disturbances = tuple[Array, tuple[tuple[Port, int], ...], Array]
+"""What acts on experiments beside the inputs: forces held over each step (B, N, nd), the columns of the ports that they
+act on, and errors of the sensors (B, N + 1, ne)."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +71,7 @@ class ModelNoise:
         errors = np.zeros((count, steps + 1, len(space.vector.system.error_names)))
         noise = rng.standard_normal((count, steps + 1, len(space.observed)))
         errors[..., tuple(space.observed)] = levels.sensor.exp().numpy() * noise
-        return Disturbances(forces, space.disturbances, errors)
+        return forces, space.disturbances, errors
 
 
 @final
@@ -106,10 +102,10 @@ class Rollouts:
         They begin in states (B, nx) at `times` (B,) [s] or 0.
         """
         theta, x, system = torch.as_tensor(thetas), torch.as_tensor(start), self.system
-        nx, nothing = system.nx, torch.zeros(len(x), steps, 0, dtype=torch.float64)
-        errors = None if noise is None else torch.as_tensor(noise.errors)
-        forces = nothing if noise is None else torch.as_tensor(noise.forces)
-        self._ports = () if noise is None else noise.ports
+        nx, errors, self._ports = system.nx, None, ()
+        forces = torch.zeros(len(x), steps, 0, dtype=torch.float64)
+        if noise is not None:
+            forces, self._ports, errors = torch.as_tensor(noise[0]), noise[1], torch.as_tensor(noise[2])
         begun = torch.zeros(len(x), dtype=torch.float64) if times is None else torch.as_tensor(times)
 
         def measured_at(k: int, x: Tensor) -> Tensor:
@@ -309,12 +305,7 @@ def _physics_with(declared: System, effects: Sequence[str], values: Mapping[str,
         key = declared.effect_key(name)
         if key in out.effect_names:
             continue
-        try:
-            out = out.with_effects(out.make_effect(key, values.get(name, values.get(key, {}))))
-        except KeyError as error:
-            raise ConfigError(
-                f"`members` names {name!r}, which no effect of {declared.name!r} is called."
-            ) from error
+        out = out.with_effects(out.make_effect(key, values.get(name, values.get(key, {}))))
     return out
 
 

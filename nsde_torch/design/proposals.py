@@ -20,7 +20,7 @@ from typing import final
 
 import numpy as np
 
-from nsde_torch.arrays import Array, Mask
+from nsde_torch.arrays import Array
 from nsde_torch.design.experiment import PlannedRun
 from nsde_torch.design.limits import MARGIN, ExperimentLimits
 from nsde_torch.design.members import Branch, Drive, Member, Rollouts, as_run, width_columns
@@ -55,14 +55,9 @@ class Signals:
     steps: int
     hertz: tuple[float, float]  # lowest and highest frequency [Hz]
 
-    @property
-    def shape(self) -> tuple[int, int, int]:
-        """Shape of the genes of an experiment: pieces, inputs, genes."""
-        return PIECES, len(self.limits.low), GENES
-
     def random(self, count: int, rng: np.random.Generator) -> Array:
         """Genes (count, pieces, nu, 6)."""
-        genes = rng.uniform(0.0, 1.0, (count, *self.shape))
+        genes = rng.uniform(0.0, 1.0, (count, PIECES, len(self.limits.low), GENES))
         same = rng.uniform(size=count) < 0.4  # one wave throughout
         genes[same, 1:] = genes[same, :1]
         size = rng.uniform(_SMALLEST, 1.0, count)[:, None, None]  # of the whole experiment
@@ -292,13 +287,16 @@ class Precision:
             columns += at
         return cls(member, columns, np.maximum(v.scale[columns], np.abs(member.theta[columns])))
 
-    def errors(self, states: Array, inputs: Array, theta: Array) -> Array:
-        """Standard errors of all parameters (C, k) after experiments with the runs there are; see `Separation.nats`."""
-        m = self.member
-        runs = [as_run(x, u, m.log.logged_dt) for x, u in zip(states, inputs, strict=True)]
-        problems = [LogWithPrior((run,), theta, m.known) for run in runs]
-        found = m.posteriors.at_centres(problems, passes=_PASSES)
-        return np.array([here.standard_errors for here in found])
+    def nats(self, states: Array, inputs: Array, thetas: Array) -> Array:
+        """How much smaller than these sizes standard errors become (S, C), in the mean; see `Separation.nats`."""
+        m, out = self.member, []
+        for theta, xs, us in zip(thetas, states, inputs, strict=True):
+            runs = [as_run(x, u, m.log.logged_dt) for x, u in zip(xs, us, strict=True)]
+            problems = [LogWithPrior((run,), theta, m.known) for run in runs]
+            found = m.posteriors.at_centres(problems, passes=_PASSES)
+            errors = np.array([here.standard_errors for here in found])[:, self.columns]
+            out.append(-np.log(errors / self.sizes).mean(1))
+        return np.array(out)
 
 
 def _width(member: Member, theta: Array) -> float:
@@ -348,7 +346,10 @@ class Judge:
     def __post_init__(self) -> None:
         members = self.members
         self._rollouts = [Rollouts(m.system, dt=members[0].log.dt) for m in members]
-        self._pairs = [[Separation(a, b) for b in members if b is not a] for a in members]
+        self._asked: list[Sequence[Separation | Precision]] = [
+            [self.precision] if self.precision else [Separation(a, b) for b in members if b is not a]
+            for a in members
+        ]
 
     def flown(self, member: int, tables: Array) -> tuple[Array, Array]:
         """States (S, C, N + 1, nx) and inputs (S, C, N, nu) of experiments (C, N, m) at every draw of a member."""
@@ -365,27 +366,14 @@ class Judge:
             states, inputs = self.flown(i, tables)
             uses.append(self.limits.use(states).max(0))
             fine = np.isfinite(states).all((0, 2, 3)) & (uses[-1] < 3.0).all(1)
-            each += self._told(i, states[:, fine], inputs[:, fine], fine)
+            for asked in self._asked[i]:
+                each.append(np.full((len(self.draws[i]), len(fine)), -np.inf))
+                if fine.any():
+                    each[-1][:, fine] = asked.nats(states[:, fine], inputs[:, fine], self.draws[i])
         use, table = np.stack(uses).max(0), np.stack(each)
         worth = worth_of(np.maximum(table, _NOTHING), 1).min(0)
         inside = np.nan_to_num(use, nan=np.inf).max(1) <= 1.0 - MARGIN
         return Judged(np.where(inside, worth, -np.inf), worth, use)
-
-    def _told(self, i: int, states: Array, inputs: Array, fine: Mask) -> list[Array]:
-        """Evidence of experiments where a member is true, one table (S, C) for each other member."""
-        draws = self.draws[i]
-        tables = 1 if self.precision is not None else len(self.members) - 1
-        out = [np.full((len(draws), len(fine)), -np.inf) for _ in range(tables)]
-        if not fine.any():
-            return out
-        if self.precision is not None:
-            for s, theta in enumerate(draws):
-                errors = self.precision.errors(states[s], inputs[s], theta)[:, self.precision.columns]
-                out[0][s, fine] = -np.log(errors / self.precision.sizes).mean(1)
-            return out
-        for table, pair in zip(out, self._pairs[i], strict=True):
-            table[:, fine] = pair.nats(states, inputs, draws)
-        return out
 
 
 def best_of_each(judge: Judge, made: Mapping[str, tuple[Array, tuple[str, ...]]]) -> list[PlannedRun]:

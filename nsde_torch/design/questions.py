@@ -180,7 +180,7 @@ def is_effect(name: str) -> bool:
 def _known(system: System, name: str) -> str:
     try:
         effect_class(key := system.effect_key(name))
-    except (KeyError, ConfigError) as error:
+    except ConfigError as error:
         raise ConfigError(
             f"{name!r} is no effect that {system.name!r} can have: `nsde effects system={system.name}` lists them."
         ) from error

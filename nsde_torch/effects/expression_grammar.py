@@ -22,11 +22,24 @@ from typing import ClassVar
 
 from nsde_torch.errors import ConfigError
 
-FUNCTIONS = {
-    **{"abs": 1, "sin": 1, "cos": 1, "max": 2, "min": 2},
-    **{"sign": 2, "peak": 2, "pull": 2, "expm1": 1, "root": 1, "logged": 1},
+FUNCTIONS: dict[str, tuple[int, str, str]] = {
+    "abs": (1, "Abs({0})", r"\left|{0}\right|"),
+    "sin": (1, "sin({0})", r"\sin\left({0}\right)"),
+    "cos": (1, "cos({0})", r"\cos\left({0}\right)"),
+    "max": (2, "Max({0}, {1})", r"\max\left({0}, {1}\right)"),
+    "min": (2, "Min({0}, {1})", r"\min\left({0}, {1}\right)"),
+    "sign": (2, "tanh(({0})/({1}))", r"\tanh\left({0} / {1}\right)"),
+    "peak": (2, "2*({0})*({1})/(({0})**2 + ({1})**2)", r"\frac{{2\,({0})\,{1}}}{{({0})^2 + {1}^2}}"),
+    "pull": (
+        2,
+        "({0})/({1})*exp(1/2 - ({0})**2/(2*({1})**2))",
+        r"\frac{{{0}}}{{{1}}}\,e^{{1/2 - ({0})^2 / (2\,{1}^2)}}",
+    ),
+    "expm1": (1, "(exp({0}) - 1)", r"\left(e^{{{0}}} - 1\right)"),
+    "root": (1, "sign({0})*sqrt(Abs({0}))", r"\operatorname{{sign}}({0})\,\sqrt{{\left|{0}\right|}}"),
+    "logged": (1, "", ""),
 }
-"""Functions and the number of their arguments."""
+"""Functions: the number of their arguments, and how SymPy and LaTeX write them."""
 
 _TOKEN = re.compile(r"\s*(?:(?P<name>[^\W\d]\w*)|(?P<number>\d+(?:\.\d*)?)|(?P<sign>[-+*^(),=\[\]]))")
 _COEFFICIENT = re.compile(r"[ck](\d+|_\w+)")
@@ -317,10 +330,9 @@ class _Parser:
         while self._take(","):
             arguments.append(_unwrapped(self._sum()))
         self._expect(")")
-        if len(arguments) != FUNCTIONS[token.text]:
-            raise self._error(
-                f"{token.text} takes {FUNCTIONS[token.text]} argument(s); got {len(arguments)}", token.start
-            )
+        takes, *_ = FUNCTIONS[token.text]
+        if len(arguments) != takes:
+            raise self._error(f"{token.text} takes {takes} argument(s); got {len(arguments)}", token.start)
         return Call(token.text, tuple(arguments))
 
 
@@ -422,16 +434,7 @@ class _Sympy(_Valued):
 
     times = "*"
     power = "{0}**{1}"
-    calls = {
-        **_Valued.calls,
-        "abs": "Abs({0})",
-        "max": "Max({0}, {1})",
-        "min": "Min({0}, {1})",
-        "sign": "tanh(({0})/({1}))",
-        "peak": "2*({0})*({1})/(({0})**2 + ({1})**2)",
-        "pull": "({0})/({1})*exp(1/2 - ({0})**2/(2*({1})**2))",
-        "root": "sign({0})*sqrt(Abs({0}))",
-    }
+    calls = {name: sympy for name, (_, sympy, _) in FUNCTIONS.items()}
 
     def coefficient(self, node: Coefficient) -> str:
         return repr(self.values[node.name])
@@ -442,16 +445,7 @@ class _Latex(_Valued):
 
     times = r"\,"
     power = "{0}^{{{1}}}"
-    calls = {
-        **{name: rf"\{name}\left({{0}}\right)" for name in ("sin", "cos")},
-        **{name: rf"\{name}\left({{0}}, {{1}}\right)" for name in ("max", "min")},
-        "abs": r"\left|{0}\right|",
-        "sign": r"\tanh\left({0} / {1}\right)",
-        "peak": r"\frac{{2\,({0})\,{1}}}{{({0})^2 + {1}^2}}",
-        "pull": r"\frac{{{0}}}{{{1}}}\,e^{{1/2 - ({0})^2 / (2\,{1}^2)}}",
-        "expm1": r"\left(e^{{{0}}} - 1\right)",
-        "root": r"\operatorname{{sign}}({0})\,\sqrt{{\left|{0}\right|}}",
-    }
+    calls = {name: latex for name, (_, _, latex) in FUNCTIONS.items()}
 
     def coefficient(self, node: Coefficient) -> str:
         number = super().coefficient(node)

@@ -6,7 +6,7 @@ numbers of an optimiser distort it), derivatives in theta need no chain rule, an
 """
 
 import copy
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import final
 
@@ -163,11 +163,8 @@ class ParameterVector:
 
     def follow(self, dt: float) -> None:
         """Raise the lower bounds of times so that steps of `dt` [s] follow the memory of the effects."""
-        effects = _effects_of(self.system)
-        for place in self.places:
-            effect, _, own = place.name.partition(".")
-            share = effects[effect].resolved.get(own) if effect in effects else None
-            if share is not None:
+        for place, effect, own in self._of_effects():
+            if (share := effect.resolved.get(own)) is not None:
                 self.low[place.columns] = np.maximum(self.low[place.columns], share * dt)
 
     @torch.no_grad()
@@ -203,13 +200,10 @@ class ParameterVector:
         A width far below every speed, or far above, changes nothing any more: a search would not find back. A fit that
         has come as far goes on (`nsde_torch.sysid.regression`).
         """
-        effects = _effects_of(self.system)
-        for place in self.places:
-            effect, _, own = place.name.partition(".")
-            cls = effects.get(effect)
-            if cls is None or own in cls.null or own not in cls.shapes:
+        for place, effect, own in self._of_effects():
+            if own in effect.null or own not in effect.shapes:
                 continue
-            kind, grid = cls.relative.get(own), np.asarray(cls.shapes[own], dtype=np.float64)
+            kind, grid = effect.relative.get(own), np.asarray(effect.shapes[own], dtype=np.float64)
             if not grid.size or (grid.min() <= 0 if kind is None else kind not in sizes):
                 continue
             size = 1.0 if kind is None else sizes[kind]
@@ -228,6 +222,14 @@ class ParameterVector:
             self.low[place.columns] = np.maximum(self.low[place.columns], least)
             self.high[place.columns] = np.minimum(self.high[place.columns], size * grid.max() * _BEYOND)
         self.scale = np.minimum(self.scale, self.high - self.low)
+
+    def _of_effects(self) -> Iterator[tuple[Place, Effect, str]]:
+        """Places of parameters of effects, with the effect and the name there."""
+        effects = _effects_of(self.system)
+        for place in self.places:
+            effect, dot, own = place.name.partition(".")
+            if dot:
+                yield place, effects[effect], own
 
     def first_values(self, known: Mapping[str, float]) -> Array:
         """First values (k,), where a label is among these the value there."""

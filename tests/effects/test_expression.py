@@ -22,8 +22,8 @@ TWIST = "body_moment[y] = c1 v_body_x w_z + c2 up_x collective^2"
 class ByHand(Effect):
     """The same as `TWIST`."""
 
-    name, port, formula, source = "by_hand", Port.BODY_MOMENT, "see TWIST", "this test"
-    PARAMETERS = {"c1": Parameter(0.0, "1/m"), "c2": Parameter(0.0, "rad/s2")}
+    port, formula, source = Port.BODY_MOMENT, "see TWIST", "this test"
+    c1, c2 = Parameter(0.0, "1/m"), Parameter(0.0, "rad/s2")
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         q = x[:, 6:10]
@@ -31,7 +31,7 @@ class ByHand(Effect):
         up[:, 2] = 1.0
         forward, tilt = rotate_back(q, x[:, 3:6])[:, 0], rotate_back(q, up)[:, 0]
         out = torch.zeros_like(x[:, :3])
-        out[:, 1] = self.value("c1") * forward * x[:, 12] + self.value("c2") * tilt * u[:, :6].sum(1) ** 2
+        out[:, 1] = self.c1 * forward * x[:, 12] + self.c2 * tilt * u[:, :6].sum(1) ** 2
         return out
 
 

@@ -18,19 +18,14 @@ from tests.helpers.system_contract import Ode
 class Slow(Effect):
     """A push that follows the mean command late, by its formula alone: it knows no whole steps."""
 
-    name, port = "slow", Port.BODY_FORCE
-    formula, source = "m, dm/dt = (u - m) / s", "made up"
-    PARAMETERS = {"time": Parameter(0.03, "s", low=0.001)}
-
-    @property
-    def n_memory(self) -> int:
-        return 1
+    port, formula, source = Port.BODY_FORCE, "m, dm/dt = (u - m) / s", "made up"
+    time, states = Parameter(0.03, "s", low=0.001), 1
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         return memory.expand(-1, 3)
 
     def memory_rate(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        return (u[:, :6].mean(1, keepdim=True) - memory) / self.value("time")
+        return (u[:, :6].mean(1, keepdim=True) - memory) / self.time
 
     def memory_start(self, x: Tensor, u: Tensor) -> Tensor:
         return u[:, :6].mean(1, keepdim=True)

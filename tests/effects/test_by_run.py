@@ -11,6 +11,7 @@ from nsde_torch.effects.by_run import BY_RUN, MASS, RUN, ByRun, difference_name
 from nsde_torch.systems import System, make_system
 from nsde_torch.systems.in_run import difference_on
 from nsde_torch.systems.parameters import ParameterVector
+from tests.helpers.effect_rows import random_rows
 
 RUNS = torch.tensor([[0.0], [1.0], [2.0], [-1.0], [7.0]], dtype=torch.float64)
 ALL = ("mass_spring_damper", "cartpole", "hexacopter", "quadrotor")
@@ -18,11 +19,7 @@ ALL = ("mass_spring_damper", "cartpole", "hexacopter", "quadrotor")
 
 def rows(system: System) -> tuple[Tensor, Tensor, Tensor]:
     """States, inputs, and inputs with the number of the run: three that are known and two that are not."""
-    made = torch.Generator().manual_seed(3)
-    x = 0.3 * torch.randn(len(RUNS), system.nx, generator=made, dtype=torch.float64)
-    if system.quaternion is not None:
-        x[:, system.quaternion] = torch.nn.functional.normalize(x[:, system.quaternion], dim=1)
-    u = 0.2 + torch.rand(len(RUNS), system.nu, generator=made, dtype=torch.float64)
+    x, u = random_rows(system, len(RUNS), seed=3)
     return x, u, torch.cat((u, RUNS), 1)
 
 

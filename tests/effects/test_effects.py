@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from nsde_torch.effects import EFFECTS, effects_of
+from nsde_torch.effects import EFFECTS, Effect, Parameter, effects_of
 from nsde_torch.errors import ConfigError
 from nsde_torch.systems import SYSTEMS, make_system
 
@@ -66,3 +66,10 @@ def test_effects_of_a_system_are_those_that_it_can_be_made_with() -> None:
 def test_each_system_tries_no_term_twice() -> None:
     assert EFFECTS["actuator_gain_drift"].no_candidate("hexacopter")
     assert not EFFECTS["thrust_sag"].no_candidate("hexacopter")
+
+
+def test_one_parameter_object_is_one_parameter() -> None:
+    with pytest.raises((TypeError, RuntimeError)):  # before Python 3.12 the one in the other
+
+        class Twice(Effect):
+            rising = falling = Parameter(0.1, "s")

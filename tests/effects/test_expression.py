@@ -11,9 +11,10 @@ from nsde_torch.effects import Effect, Parameter, Port, files
 from nsde_torch.effects.expression_grammar import in_text, is_law, latex, parse, sympy_text, valued
 from nsde_torch.errors import ConfigError
 from nsde_torch.rotation import rotate_back
-from nsde_torch.systems import System, make_system
+from nsde_torch.systems import make_system
 from nsde_torch.systems.options import system_options
 from nsde_torch.systems.vocabulary import seen_by
+from tests.helpers.effect_rows import random_rows
 
 STOP = "force = c1 q q_dot - c2 max(q - k1, 0)"
 TWIST = "body_moment[y] = c1 v_body_x w_z + c2 up_x collective^2"
@@ -35,19 +36,11 @@ class ByHand(Effect):
         return out
 
 
-def states(system: System, rows: int = 50) -> tuple[Tensor, Tensor]:
-    generator = torch.Generator().manual_seed(0)
-    x = torch.randn(rows, system.nx, generator=generator, dtype=torch.float64)
-    if system.quaternion is not None:
-        x[:, system.quaternion] /= x[:, system.quaternion].norm(dim=1, keepdim=True)
-    return x, torch.rand(rows, system.nu, generator=generator, dtype=torch.float64)
-
-
 def test_a_law_as_text_is_the_effect_that_a_class_of_ten_lines_would_be() -> None:
     values = {"c1": 0.44, "c2": -0.3}
     ours = make_system("hexacopter", effects=[TWIST], values={f"{TWIST}.{k}": v for k, v in values.items()})
     theirs = make_system("hexacopter").with_effects(ByHand(values))
-    x, u = states(ours)
+    x, u = random_rows(ours, 50)
     rates = [system.double().drift(0.0, x, u) for system in (ours, theirs)]
     assert torch.allclose(*rates, rtol=1e-6, atol=1e-6)
     assert (rates[0] - make_system("hexacopter").double().drift(0.0, x, u))[:, 11].abs().max() > 0.1
@@ -61,7 +54,7 @@ def test_a_law_reads_states_inputs_and_columns_of_the_log_and_has_derivatives() 
     for name, value in values.items():
         system.effects[-1].set_value(name, torch.tensor([value]))  # type: ignore[operator]
     assert system.exogenous == ("load",)
-    x, u = states(system)
+    x, u = random_rows(system, 50)
     u = torch.cat((u, torch.linspace(0.0, 2.0, len(u), dtype=torch.float64)[:, None]), 1)
     q, v = x[:, 0], x[:, 1]
     expected = 0.5 * torch.tanh(v / 0.1) * u[:, 1] - 0.2 * q.clamp(max=0) ** 2 * torch.cos(3.0 * q) * u[:, 0]

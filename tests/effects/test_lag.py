@@ -1,14 +1,16 @@
 """Effects with memory: lags, delays and hysteresis in closed form."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from nsde_torch.effects import Law, effect_class
+from nsde_torch.effects import effect_class
 from nsde_torch.effects.actuators import InputPlay
-from nsde_torch.effects.forces import HiddenMass, Hysteresis
+from nsde_torch.effects.forces import HiddenMass
 from nsde_torch.effects.multirotor_forces import SlungLoad
 from nsde_torch.systems import make_system
 from tests.helpers.effect_rows import flying, machine_with, made
@@ -134,24 +136,37 @@ def test_coarse_steps_stay_stable_and_keep_the_mean_delay(name: str, delay: floa
     torch.testing.assert_close(late, torch.full_like(late, delay), rtol=1e-3, atol=1e-6)
 
 
-@pytest.mark.parametrize(("name", "begins"), [("relaxation", 0.5), ("viscoelasticity", 0.0)])
-@pytest.mark.parametrize("time", [0.03, 4.0])
-def test_what_follows_slowly_is_that_of_the_differential_equation(
-    name: str, begins: float, time: float
+def _follows(v: Any, m: Any, time: float) -> Any:
+    return (v - m) / time
+
+
+def _bouc_wen(v: Any, z: Any, reach: float) -> Any:
+    return (v - 0.5 * (abs(v) * z + v * abs(z))) / reach
+
+
+@pytest.mark.parametrize(
+    ("name", "key", "value", "rate", "begins", "within"),
+    [
+        *(("relaxation", "time", time, _follows, 0.5, 5e-4) for time in (0.03, 4.0)),
+        *(("viscoelasticity", "time", time, _follows, 0.0, 5e-4) for time in (0.03, 4.0)),
+        *(("hysteresis", "reach", reach, _bouc_wen, 1.0, 0.03) for reach in (0.02, 0.3)),
+    ],
+)
+def test_memory_along_states_is_that_of_the_differential_equation(
+    name: str, key: str, value: float, rate: Any, begins: float, within: float
 ) -> None:
-    t = DT * np.arange(500)
+    ends = DT * np.arange(1001)
 
-    def v(at: float | np.ndarray) -> np.ndarray:
-        return np.asarray(np.sin(2.0 * at) + 0.5 * np.cos(5.0 * at))
+    def v(at: Any) -> Any:
+        return np.sin(2.0 * at) + 0.5 * np.cos(5.0 * at)
 
-    ends = np.append(t, t[-1] + DT)
-    found = solve_ivp(lambda at, m: (v(at) - m) / time, (0.0, ends[-1]), [begins], t_eval=ends, rtol=1e-9)
-    effect = effect_class(name)({"time": time}).double()
-    assert isinstance(effect, Law)
-    along = effect.followed(torch.from_numpy(np.column_stack([np.zeros_like(t), v(t)])), DT)
-    assert along is not None
-    np.testing.assert_allclose(along[:-1, 0], found.y[0][:-1], atol=5e-4)
-    assert effect.followed(torch.zeros(1, 2).double(), DT).shape == (2, 1)  # type: ignore[union-attr]
+    found = solve_ivp(
+        lambda at, m: rate(v(at), m, value), (0.0, ends[-1]), [begins], t_eval=ends, rtol=1e-9, max_step=DT
+    )
+    effect = effect_class(name)({key: value}).double()
+    along = effect.followed(torch.from_numpy(np.column_stack((0.0 * ends[:-1], v(ends[:-1])))), DT)
+    np.testing.assert_allclose(along[:-1, 0], found.y[0][:-1], atol=within)
+    assert effect.followed(torch.zeros(1, 2).double(), DT).shape == (2, 1)
 
 
 @pytest.mark.parametrize("frequency", [0.5, 3.0])
@@ -196,25 +211,6 @@ def test_a_slung_load_pulls_to_its_side_and_takes_its_share_of_a_tilted_thrust()
     moving[:, 3], moving[:, 4] = 1.0, 2.0
     along = load.followed(moving, DT)
     np.testing.assert_allclose(along, np.tile([0.0, 0.0, 1.0, 2.0], (51, 1)), atol=1e-12)
-
-
-def _bouc_wen(t: np.ndarray, reach: float) -> np.ndarray:
-    def rate(at: float, z: np.ndarray) -> np.ndarray:
-        v = np.cos(at) + 0.7 * np.cos(2.9 * at)
-        return np.asarray((v - 0.5 * (abs(v) * z + v * abs(z))) / reach)
-
-    found = solve_ivp(rate, (0.0, t[-1]), [1.0], t_eval=t, rtol=1e-9, atol=1e-9, max_step=0.01)
-    return np.asarray(found.y[0])
-
-
-@pytest.mark.parametrize("reach", [0.02, 0.3])
-def test_memory_along_states_is_that_of_the_differential_equation(reach: float) -> None:
-    t = DT * np.arange(1000)
-    effect = Hysteresis({"reach": reach})
-    v = np.cos(t) + 0.7 * np.cos(2.9 * t)
-    z = effect.followed(torch.from_numpy(np.column_stack([np.zeros_like(t), v])), DT)[:, 0].numpy()
-    np.testing.assert_allclose(z, _bouc_wen(np.append(t, t[-1] + DT), reach), atol=0.03)
-    assert np.abs(z).max() <= 1.0
 
 
 def test_play_is_its_own_definition() -> None:

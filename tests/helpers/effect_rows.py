@@ -38,3 +38,12 @@ def machine_with(
     """A machine with this effect, which has these values, and no other."""
     own = {f"{name}.{key}": value for key, value in (values or {}).items()}
     return make_system(system, declared=[], effects=[name], values={**of_machine, **own})
+
+
+def random_rows(system: System, n: int, *, seed: int = 0) -> tuple[torch.Tensor, torch.Tensor]:
+    """States (n, nx) and inputs (n, nu) in [0, 1] of a machine, float64."""
+    g = torch.Generator().manual_seed(seed)
+    x = torch.randn(n, system.nx, generator=g, dtype=torch.float64)
+    if system.quaternion is not None:
+        x[:, system.quaternion] /= x[:, system.quaternion].norm(dim=1, keepdim=True)
+    return x, torch.rand(n, system.nu, generator=g, dtype=torch.float64)

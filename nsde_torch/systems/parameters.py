@@ -179,12 +179,9 @@ class ParameterVector:
         system, theta = self.system, torch.as_tensor(self.start)
         z = system.project(system.augment(x, u))
         rates = system.drift(t, z, u)[:, : system.nx]
-        whole, effects = rates.square().mean(0).sqrt(), _effects_of(system)
-        for place in self.places:
-            effect, _, own = place.name.partition(".")
-            for j in range(*place.columns.indices(len(self))):
-                if effect not in effects or own not in effects[effect].amplitudes:
-                    continue
+        whole = rates.square().mean(0).sqrt()
+        for place, effect, own in self._of_effects():
+            for j in range(*place.columns.indices(len(self))) if own in effect.amplitudes else ():
                 moved = theta.clone()
                 moved[j] += self.scale[j]
                 self.use(moved)
@@ -207,9 +204,8 @@ class ParameterVector:
             if not grid.size or (grid.min() <= 0 if kind is None else kind not in sizes):
                 continue
             size = 1.0 if kind is None else sizes[kind]
-            if (
-                grid.min() <= 0
-            ):  # a place: a stop at -113 m, beyond all data, was a tilt and a damping of a cart
+            if grid.min() <= 0:
+                # a place: a stop at -113 m, beyond all data, was a tilt and a damping of a cart
                 self.low[place.columns] = np.maximum(self.low[place.columns], -_OUTSIDE * size)
                 self.high[place.columns] = np.minimum(self.high[place.columns], _OUTSIDE * size)
                 continue

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -27,7 +28,7 @@ from typing import Any, final
 
 import numpy as np
 import torch
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from nsde_torch.control import feasible
 from nsde_torch.control.controller import Controller
@@ -56,7 +57,7 @@ from nsde_torch.systems import Multirotor, System
 from nsde_torch.systems.machines import plant_effects
 from nsde_torch.systems.registry import system_class
 from nsde_torch.texts import rendered
-from nsde_torch.whole_files import json_text
+from nsde_torch.whole_files import json_text, read_json
 
 from . import build, fly_build, track_build
 from .exit_status import FLIGHT_ENDED, EndedError
@@ -72,6 +73,7 @@ from .known_machine import (
 )
 
 LINK, HAND, PLANT = "link", "hand", "plant"
+Json = Mapping[str, Any]
 
 
 def needed(effects: list[Any], by: str) -> list[Any]:
@@ -112,12 +114,11 @@ class VirtualVehicle:
         body, controller = fly_build.body(c.plant, seed=seed), self._controller(path, effects)
         how = {"period": c.mpc.period, "sensor_noise": c.plant.sensor_noise}
         report = fly_simulated(body, controller, PathPoints(path), seed=seed, log=log, **how)
-        return {**report.as_dict(), "track": _rounded(report.track)}
+        return {**report.as_dict(), "track": report.track}
 
     def _controller(self, path: FlightPath, effects: list[Any]) -> FlightController:
         """The solver is made once for all flights with the same knowledge."""
-        key = json.dumps(effects)
-        c = self._config
+        c, key = self._config, json.dumps(effects)
         if key not in self._controllers:
             self._controllers[key] = Controller(physics(c, effects), **track_build.planning(c.mpc), say=say)
         return PredictiveController(self._controllers[key], Reference(path), delay=c.delay, lead=c.lead)
@@ -140,10 +141,8 @@ class TrackedPlant:
         autopilot = track_build.autopilot(DECLARED, known, c, reference, **made, say=say)
         late, span = c.plant.state_latency, path.duration
         flight = fly_plant(autopilot, plant, reference, state_latency=late, duration=span)
-        (written,) = write_log([flight], known, log.parent / f".{log.stem}")
-        log.parent.mkdir(parents=True, exist_ok=True)
+        (written,) = write_log([flight], known, log.parent)
         written.replace(log)
-        written.parent.rmdir()
         lost, t, x = float(flight.lost[0]), flight.t, flight.x[:, 0]
         errors = (x[:, :3] - flight.ref[:, :3]).norm(dim=1)
         whole = math.isinf(lost)
@@ -152,7 +151,7 @@ class TrackedPlant:
             "trouble": None if whole else {"kind": "lost", "text": f"the machine was lost at {lost:.1f} s"},
             "rmse_m": float(errors.square().mean().sqrt()) if whole else None,
             "position_error_max_m": float(errors.max()) if whole else None,
-            "track": _rounded([(float(a), *row) for a, row in zip(t, x.tolist(), strict=True)]),
+            "track": torch.column_stack((t, x)).tolist(),
         }
 
 
@@ -187,7 +186,7 @@ class LinkedVehicle:
         finally:
             runner.close()
         fly_build.check_end(report.outcome)
-        return {**report.as_dict(), "track": _rounded(report.track)}
+        return {**report.as_dict(), "track": report.track}
 
 
 FlyingMachine = VirtualVehicle | TrackedPlant | LinkedVehicle
@@ -199,21 +198,16 @@ MACHINES: dict[str, type[FlyingMachine]] = {
 """Who flies, by `by=`; a person flies no machine of ours."""
 
 
-def _rounded(track: Any) -> list[list[float]]:
-    return [[round(float(v), 6) for v in row] for row in track]
-
-
 # within what an experiment is planned: fence and speeds that were asked for, no faster turns than are sent
 
 
 def plan_limits(config: DictConfig) -> dict[str, list[float]]:
     """Lowest and highest value of each state of a plan, by its name."""
-    e = config.experiment
-    limits = {f"p_{axis}": list(pair) for axis, pair in zip("xyz", build.fence(e, "experiment"), strict=True)}
-    limits |= {f"v_{axis}": [-e.speed, e.speed] for axis in "xyz"}
-    for axis in "xyz":
-        group, _, key = limit_key(f"w_{axis}", config).partition(".")
-        limits[f"w_{axis}"] = [-config[group][key], config[group][key]]
+    fence = build.fence(config.experiment, "experiment")
+    limits = {f"p_{axis}": list(pair) for axis, pair in zip("xyz", fence, strict=True)}
+    for name in ("v_x", "v_y", "v_z", "w_x", "w_y", "w_z"):
+        most = float(OmegaConf.select(config, limit_key(name, config)))
+        limits[name] = [-most, most]
     return limits
 
 
@@ -248,10 +242,8 @@ def check_inside(experiment: DictConfig, limits: Limits) -> None:
 def check_path(path: FlightPath, machine: System, limits: Limits, *, dt: float) -> None:
     """Refuse a path that would be ended on the way; the ConfigError names the limit."""
     asked = feasible.envelope(Reference(path), Predictor(machine, dt=dt))
-    for name, most, limit, unit in (
-        ("tilt", asked.tilt, limits.tilt, "deg"),
-        ("speed", asked.speed, limits.speed, "m/s"),
-    ):
+    for name, unit in (("tilt", "deg"), ("speed", "m/s")):
+        most, limit = getattr(asked, name), getattr(limits, name)
         if most > limit:
             raise ConfigError(
                 f"the path {path.name!r} asks for a {name} of up to {most:.2g} {unit}, and `limits.{name}={limit:g}` "
@@ -279,11 +271,14 @@ class StoppedLoop:
 def run_experiments(loop: ClosedLoop) -> tuple[list[dict[str, Any]], StoppedLoop]:
     """Experiments until nothing is open, affordable or informative: a record of each, and why there is no further."""
     done: list[dict[str, Any]] = []
-    for number in range(1, loop.config.experiments + 1):
-        content = loop.found
+    while True:
+        content, number = loop.found, len(done) + 1
         now = standing_of(content)
         if now.settled:
             return done, settled(now)
+        if number > loop.config.experiments:
+            spent = f"the budget of experiments={loop.config.experiments} is spent; {now.words}."
+            return done, StoppedLoop("budget", f"{spent} A larger one goes on from here.")
         place = loop.folder / f"experiment_{number}"
         place.mkdir(parents=True, exist_ok=True)
         known = machine_in(loop.logs, loop.diagnosis, loop.config.plant.system, loop.kind)
@@ -299,16 +294,9 @@ def run_experiments(loop: ClosedLoop) -> tuple[list[dict[str, Any]], StoppedLoop
         if other is not None:
             return done, other
         loop.diagnosis = place / "diagnosis"
-        after = standing_of(loop.found)
-        flight = place / FLIGHT  # nothing is measured where a person flew
-        flown = json.loads(flight.read_text(encoding="utf-8")) if flight.is_file() else {}
-        done.append(entry_of(place, number, plan, told, now, after, flown))
+        flown = read_json(place / FLIGHT, {})  # nothing is measured where a person flew
+        done.append(entry_of(place, number, plan, told, now, standing_of(loop.found), flown))
         say(experiment_text(done[-1]))
-    now = standing_of(loop.found)
-    if now.settled:
-        return done, settled(now)
-    spent = f"the budget of experiments={loop.config.experiments} is spent; {now.words}."
-    return done, StoppedLoop("budget", f"{spent} A larger one goes on from here.")
 
 
 def settled(now: Standing) -> StoppedLoop:
@@ -327,8 +315,7 @@ def _planned(
     loop: ClosedLoop, place: Path, known: KnownMachine, questions: Sequence[Question], number: int
 ) -> dict[str, Any] | StoppedLoop:
     """The plan for the first question that a plan within the limits answers, or why there is none."""
-    file = place / REFUSED
-    refused: list[str] = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else []
+    refused: list[str] = read_json(place / REFUSED, [])
     for question in questions[len(refused) :]:
         made = (place / RESULT).is_file()
         found = read_design(place) if made else _designed(loop, place, known, question, number)
@@ -340,7 +327,7 @@ def _planned(
             (place / RESULT).unlink()
         say(found)
         refused.append(found)
-        file.write_text(json.dumps(refused, indent=1), encoding="utf-8")
+        (place / REFUSED).write_text(json.dumps(refused, indent=1), encoding="utf-8")
     return StoppedLoop("limits", " ".join(refused))
 
 
@@ -350,7 +337,6 @@ def _designed(
     """A plan for a question; the limit that is in the way where none stays within them."""
     say(f"\nexperiment {number}: {asked(question.content())}")
     e, stages = loop.config.experiment, Stages()
-    machine: dict[str, Any] = {"clock": known.clock, "values": known.values}
     try:
         options = DesignOptions(
             duration=e.duration,
@@ -358,9 +344,7 @@ def _designed(
             **{k: e[k] for k in ("samples", "proposals", "generations", "rehearsals")},
             seed=loop.config.seed * 100 + number,
         )
-        made = design(
-            known.system, known.runs, question, options, **machine, baselines=e.baselines, say=stages
-        )
+        made = design(question=question, options=options, **known.given, baselines=e.baselines, say=stages)
     except ConfigError as error:
         return f"{asked(question.content())} {error}"
     finally:
@@ -394,27 +378,27 @@ def _flown(loop: ClosedLoop, place: Path, number: int) -> StoppedLoop | None:
 
 
 def _read(
-    loop: ClosedLoop, place: Path, known: KnownMachine, plan: Mapping[str, Any], content: Mapping[str, Any]
+    loop: ClosedLoop, place: Path, known: KnownMachine, plan: Json, content: Json
 ) -> dict[str, Any]:
     """The evidence of the flight, unless that is known; a DataError where the logs hold no new run."""
     file = place / OBTAINED
-    if file.is_file():
-        return json.loads(file.read_text(encoding="utf-8"))
+    if (there := read_json(file, None)) is not None:
+        return there
     data = read_logs(loop.logs, loop.config.plant.system, loop.kind, content)
     before = {run.name for run in known.runs}
     new = [run for run in data.runs if run.name not in before]
     if not new:
         raise DataError(f"{loop.logs} holds no run that the diagnosis before {place.name} did not have.")
-    asked_for, machine = plan["question"], {"clock": known.clock, "values": known.values}
+    asked_for = plan["question"]
     question = Question(tuple(map(tuple, asked_for["members"])), tuple(asked_for["parameters"]))
     # trusted: whether it is of this machine the diagnosis of all runs says
-    how: dict[str, Any] = {**machine, "expected": plan["expected"], "trusted": True}
-    told = obtained(known.system, known.runs, new, question, **how).content()
+    how: dict[str, Any] = {"expected": plan["expected"], "trusted": True}
+    told = obtained(flown=new, question=question, **known.given, **how).content()
     file.write_text(json_text(told) + "\n", encoding="utf-8")
     return told
 
 
-def _other_machine(loop: ClosedLoop, place: Path, before: Mapping[str, Any]) -> StoppedLoop | None:
+def _other_machine(loop: ClosedLoop, place: Path, before: Json) -> StoppedLoop | None:
     """Whether the diagnosis of all runs says that the experiment's is of another machine.
 
     Of a log that a person put in, every objection that was not there before counts. Nothing of such a log is kept as
@@ -445,14 +429,14 @@ def _other_machine(loop: ClosedLoop, place: Path, before: Mapping[str, Any]) -> 
 # --- what is said of an experiment ------------------------------------------------------------------------------------
 
 
-def asked(question: Mapping[str, Any]) -> str:
+def asked(question: Json) -> str:
     """The question in words."""
     if question["kind"] == "tie":
         return f"which is true, {' or '.join(question['names'])}?"
     return f"how large: {', '.join(question['parameters'])}?"
 
 
-def expected_nats(plan: Mapping[str, Any]) -> float:
+def expected_nats(plan: Json) -> float:
     """What is expected of a plan, whichever member is true; of parameters, of all together [nats]."""
     if plan["question"]["kind"] == "tie":
         return float(min(e["nats"]["mean"] for e in plan["expected"]))
@@ -462,7 +446,7 @@ def expected_nats(plan: Mapping[str, Any]) -> float:
     return float(sum(math.log(now / then) for now, then in known if then is not None))
 
 
-def too_little(plan: Mapping[str, Any], told: float, config: DictConfig) -> str:
+def too_little(plan: Json, told: float, config: DictConfig) -> str:
     """That no plan is informative, and which limits the best one comes close to."""
     near = [
         f"{name} ({'leaves' if share > 1 else f'takes {share:.0%} of'} {limit_key(name, config)} in rehearsal)"
@@ -482,13 +466,7 @@ def too_little(plan: Mapping[str, Any], told: float, config: DictConfig) -> str:
 
 
 def entry_of(
-    place: Path,
-    number: int,
-    plan: Mapping[str, Any],
-    told: Mapping[str, Any],
-    before: Standing,
-    after: Standing,
-    flown: Mapping[str, Any],
+    place: Path, number: int, plan: Json, told: Json, before: Standing, after: Standing, flown: Json
 ) -> dict[str, Any]:
     """What `close_loop.json` says of an experiment."""
     tie, kept = plan["question"]["kind"] == "tie", ("words", "duration_s", "largest_share_of_limits")
@@ -510,7 +488,7 @@ def entry_of(
     }
 
 
-def experiment_text(entry: Mapping[str, Any]) -> str:
+def experiment_text(entry: Json) -> str:
     """What is printed of an experiment."""
     return rendered(__file__, "experiment.txt", **entry, asked=asked(entry["question"]))
 
@@ -565,14 +543,13 @@ def _same_settings(config: DictConfig, folder: Path) -> None:
     """Refuse a folder with what is of another configuration."""
     settings = build.options(config, *_FREE)
     file = folder / SETTINGS
-    if file.is_file():
-        before = json.loads(file.read_text(encoding="utf-8"))
-        other = sorted(k for k in {*before, *settings} if before.get(k) != settings.get(k))
-        if other:
-            raise ConfigError(
-                f"`out_dir={folder}` holds a closed loop with other settings ({', '.join(other)}): give those of "
-                f"{file} to go on with it, or name another folder."
-            )
+    before = read_json(file, settings)
+    other = sorted(k for k in {*before, *settings} if before.get(k) != settings.get(k))
+    if other:
+        raise ConfigError(
+            f"`out_dir={folder}` holds a closed loop with other settings ({', '.join(other)}): give those of "
+            f"{file} to go on with it, or name another folder."
+        )
     file.write_text(json.dumps(settings, indent=1), encoding="utf-8")
 
 
@@ -649,13 +626,12 @@ class ClosedLoop:
     def flown(self, stage: str) -> list[dict[str, Any]]:
         """What was measured in the flights of a stage that are compared."""
         files = [self.folder / stage / f"flight_{k}.json" for k in range(self.config.flights)]
-        return [json.loads(f.read_text(encoding="utf-8")) for f in files if f.is_file()]
+        return [read_json(f) for f in files if f.is_file()]
 
     def _flight(self, stage: str, number: int, effects: list[Any]) -> None:
         """Fly the reference once, unless that is done with what the controller knows."""
         file = self.folder / stage / f"flight_{number}.json"
-        if file.is_file():
-            done = json.loads(file.read_text(encoding="utf-8"))
+        if done := read_json(file):
             # over a link the cause that ended a flight may have passed; elsewhere the same seed ends it again
             again = self.config.by == LINK and stage != LOG and not done["tracked"]
             if done["told"] == effects and not again:
@@ -677,8 +653,7 @@ class ClosedLoop:
             f"out_dir={self.folder}, and it is flown again."
         )
         unfinished = self.folder / FLYING / log.name
-        for file in (unfinished, unfinished.with_suffix(".ulg")):
-            file.unlink(missing_ok=True)
+        shutil.rmtree(unfinished.parent, ignore_errors=True)
         try:
             found = self.machine.fly(path, effects, seed=seed, log=unfinished)
         except EndedError as error:
@@ -693,10 +668,10 @@ class ClosedLoop:
                 f"{name}: {flown:.2g} s of {path.duration:.3g} s were flown{trouble}. {again}", FLIGHT_ENDED
             )
         log.parent.mkdir(parents=True, exist_ok=True)
-        for file in (unfinished, unfinished.with_suffix(".ulg")):
-            if file.is_file():
-                file.replace(log.parent / file.name)
+        for file in unfinished.parent.iterdir():
+            file.replace(log.parent / file.name)
         unfinished.parent.rmdir()
+        found["track"] = [[round(float(v), 6) for v in row] for row in found["track"]]
         rmse = "not flown" if found["rmse_m"] is None else f"RMSE {100 * found['rmse_m']:.1f} cm"
         say(f"{name}: {rmse}{trouble} ({time.perf_counter() - started:.0f} s)")
         return found

@@ -37,7 +37,7 @@ def config_dir(words: Sequence[str]) -> Path | None:
 def check_own_files(folder: Path, chosen: Mapping[str, str]) -> None:
     """Refuse choices of `--config-dir` that are no plain YAML, which could name objects of Python, or hold no keys."""
     for group, choice in chosen.items():
-        for name in (choice, *_parents(group, choice, folder)):
+        for name in _composed(group, choice, folder)[0]:
             if (file := folder / group / f"{name}.yaml").is_file():
                 content = read_yaml(file)
                 if not isinstance(content, dict | None):
@@ -50,14 +50,12 @@ def schema(command: str) -> type:
 
 def defaults(command: str) -> dict[str, str]:
     """The config groups of a command with the choice that each has by default, in order; `null` for none."""
-    return {
-        name: NOTHING if choice is None else choice for name, choice in hydra_command(command).groups.items()
-    }
+    return {name: choice or NOTHING for name, choice in hydra_command(command).groups.items()}
 
 
 def has(command: str, name: str) -> bool:
     """Whether a command has a key or group of this name."""
-    return name in [field.name for field in dataclasses.fields(schema(command))]
+    return name in {field.name for field in dataclasses.fields(schema(command))}
 
 
 def sweeps(command: str) -> bool:
@@ -81,10 +79,9 @@ def files(command: str) -> dict[str, Key]:
     return {entry.path: entry for entry in found if entry.file}
 
 
-def without_file(group: str) -> dict[str, type | dict[str, str]]:
+def without_file(group: str) -> dict[str, Any]:
     """Choices of a group that are all that their dataclass says, or set their name alone: they need no file."""
-    nodes: dict[str, type | dict[str, str]] = {**CHOICES.get(group, {})}
-    nodes |= {name: {"name": name} for name in NAMES.get(group, ())}
+    nodes = {**CHOICES.get(group, {}), **{name: {"name": name} for name in NAMES.get(group, ())}}
     return {name: node for name, node in nodes.items() if name not in _package_files(group)}
 
 
@@ -129,30 +126,25 @@ def group_schema(command: str, group: str, choice: str, extra: Path | None = Non
     from typing import get_type_hints
 
     own = CHOICES.get(group, {})
-    for name in [choice, *_parents(group, choice, extra)]:
-        if name in own:
-            return own[name]
-    found: type = get_type_hints(schema(command))[group]
-    return found
+    found = next((own[name] for name in _composed(group, choice, extra)[0] if name in own), None)
+    return found or get_type_hints(schema(command))[group]
 
 
 def choice_values(group: str, choice: str, extra: Path | None = None) -> dict[str, Any]:
     """The values that a choice's file sets, on top of those of the choices it builds on."""
-    values: dict[str, Any] = {}
-    for parent in _parents(group, choice, extra):
-        values.update(choice_values(group, parent, extra))
+    return _composed(group, choice, extra)[1]
+
+
+def _composed(group: str, choice: str, extra: Path | None) -> tuple[list[str], dict[str, Any]]:
+    """A choice and those that it builds on, and the values that they set."""
     content = _read(group, choice, extra)
-    content.pop("defaults", None)
-    return {**values, **content}
-
-
-def _parents(group: str, choice: str, extra: Path | None) -> list[str]:
-    listed = _read(group, choice, extra).get("defaults", [])
-    return [
-        item
-        for item in listed
-        if isinstance(item, str) and "/" not in item and item not in ("_self_", choice)
-    ]
+    names, values = [choice], {}
+    for item in content.pop("defaults", []):
+        if isinstance(item, str) and "/" not in item and item not in ("_self_", choice):
+            parents, inherited = _composed(group, item, extra)
+            names += parents
+            values |= inherited
+    return names, values | content
 
 
 def _read(group: str, choice: str, extra: Path | None) -> dict[str, Any]:

@@ -36,6 +36,11 @@ class KnownMachine:
     content: Mapping[str, Any]  # of `diagnosis.json`
     data: DictConfig | None = None  # configuration of the data, where it was kept
 
+    @property
+    def given(self) -> dict[str, Any]:
+        """What the planning and the judging of an experiment take of it."""
+        return {"system": self.system, "runs": self.runs, "clock": self.clock, "values": self.values}
+
 
 def known_machine(
     folder: Path, content: Mapping[str, Any], system: System, data: DataSet, config: DictConfig | None = None
@@ -65,7 +70,7 @@ def diagnosed(folder: Path, moved: str | None) -> KnownMachine:
     if not (folder / RESULT).is_file() or not (folder / CONFIG).is_file():
         command = as_typed("nsde", "diagnose", paths={"out_dir": folder})
         raise ConfigError(f"`run`: {folder} holds no {RESULT} with {CONFIG}; `{command}` writes them.")
-    content = json.loads((folder / RESULT).read_text(encoding="utf-8"))
+    content = diagnosis_content(folder)
     if content.get("so_far"):
         raise ConfigError(
             f"`run`: the diagnosis in {folder} is not finished: what seems open in it may not have been tested yet. "
@@ -139,9 +144,10 @@ def read_logs(
         raise DataError(
             f"{folder} holds logs of several kinds ({', '.join(kinds)}): keep those of one kind there."
         )
-    known = {} if content is None else faults_of_sensors(content)
-    faults: dict[str, Any] = {name: values for name, values in known.items() if name in remedies()}
-    return nsde_torch.read(folder, system=system, kind=kind, **faults)
+    faults: dict[str, Any] = {} if content is None else faults_of_sensors(content)
+    return nsde_torch.read(
+        folder, system=system, kind=kind, **{k: v for k, v in faults.items() if k in remedies()}
+    )
 
 
 def machine_in(folder: Path, diagnosis: Path, system: str, kind: str | None) -> KnownMachine:

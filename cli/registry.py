@@ -16,23 +16,14 @@ import importlib
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from nsde_torch.errors import ConfigError
 
 if TYPE_CHECKING:
     from .hydra_command import HydraCommand
-
-
-class Command(Protocol):
-    """What a file of a command holds under the name `COMMAND`."""
-
-    def main(self, arguments: Sequence[str], /) -> int:
-        """Run the command with the words after its name; returns the exit status."""
-
-    def complete(self, words: Sequence[str], /) -> list[str]:
-        """Completions of the last of these words."""
 
 
 @dataclass(frozen=True)
@@ -53,18 +44,17 @@ class CommandEntry:
     @property
     def summary(self) -> str:
         """What `nsde --help` and its own help say of it: the first line of its docstring, without its name."""
-        file = _file_of(self.module)
-        try:
-            line = (ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or "").partition("\n")[0]
-        except (OSError, ValueError, SyntaxError):
-            line = ""
+        line = ""
+        with suppress(Exception):  # a broken package ends no help
+            text = _file_of(self.module).read_text(encoding="utf-8")
+            line = (ast.get_docstring(ast.parse(text)) or "").partition("\n")[0]
         words = line.rpartition("`: ")[2].strip().removesuffix(".")
         return words[:1].upper() + words[1:] or f"A command of the package {self.package}"
 
-    def load(self) -> Command:
+    def load(self) -> HydraCommand | PlainCommand:
         """Import the file of the command; ConfigError where that of another package fails."""
         try:
-            command: Command = importlib.import_module(self.module, package=__package__).COMMAND
+            command: HydraCommand | PlainCommand = importlib.import_module(self.module, __package__).COMMAND
         except (ImportError, AttributeError, TypeError) as error:
             if self.package is None:
                 raise
@@ -93,17 +83,11 @@ def installed() -> dict[str, CommandEntry]:
 
 
 def _file_of(module: str) -> Path:
-    """Where a module is, found without importing anything; a path that is none where it is not found."""
-    from importlib.util import find_spec
-
+    """Where a module is, found without importing anything of its package."""
     top, *below = module.split(".")
-    if not top:  # one of ours
-        return Path(__file__).parent.joinpath(*below).with_suffix(".py")
-    try:
-        spec = find_spec(top)
-    except (ImportError, ValueError):
-        spec = None
-    path = Path(spec.origin if spec and spec.origin else "")
+    spec = find_spec(top or __name__)  # without a package one of ours
+    assert spec and spec.origin
+    path = Path(spec.origin)
     return path.parent.joinpath(*below).with_suffix(".py") if below else path
 
 
@@ -121,8 +105,7 @@ def hydra_command(name: str) -> HydraCommand:
     """A command that Hydra configures; KeyError for none of that name, ConfigError where its package does not load."""
     from .hydra_command import HydraCommand
 
-    entry = entry_of(name)
-    command = None if entry is None else entry.load()
+    command = entry.load() if (entry := entry_of(name)) else None
     if not isinstance(command, HydraCommand):
         raise KeyError(name)
     return command

@@ -14,7 +14,7 @@ Five verbs, each what the command of the same name does:
 
 from typing import TYPE_CHECKING
 
-from nsde_torch.lazy import resolver
+from nsde_torch.lazy import names, resolver
 
 if TYPE_CHECKING:
     from nsde_torch.api.diagnosing import diagnose
@@ -30,19 +30,6 @@ if TYPE_CHECKING:
     from nsde_torch.systems.base import System
 
 __version__ = "0.1.0"
-__all__ = [
-    "Effect",
-    "NeuralSDE",
-    "System",
-    "__version__",
-    "diagnose",
-    "evaluate",
-    "inspect",
-    "load",
-    "read",
-    "rehearse",
-    "simulate",
-    "train",
-]
+__all__ = ["__version__", *names(__name__)]
 
 __getattr__ = resolver(__name__)

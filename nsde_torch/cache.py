@@ -12,7 +12,5 @@ def cache_folder(folder: str | Path | None = None) -> Path:
         return Path(folder).expanduser()
     if os.environ.get("NSDE_CACHE"):
         return Path(os.environ["NSDE_CACHE"]).expanduser()
-    if os.name == "nt" and os.environ.get("LOCALAPPDATA"):
-        return Path(os.environ["LOCALAPPDATA"]) / "nsde_torch" / "cache"
     base = os.environ.get("XDG_CACHE_HOME")
     return (Path(base) if base else Path.home() / ".cache") / "nsde_torch"

@@ -15,23 +15,18 @@ from __future__ import annotations
 
 import ast
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import cache
 from importlib import import_module
-from importlib.abc import InspectLoader
+from pathlib import Path
 from typing import Any
 
 
-def resolver(package: str, home: Mapping[str, str] | None = None) -> Callable[[str], Any]:
-    """The `__getattr__` of a package: a function of a name, which raises AttributeError for one that is not public.
-
-    Args:
-        package: Its `__name__`.
-        home: Public name -> module of the package that defines it; without it, the imports for type checkers say so.
-    """
+def resolver(package: str) -> Callable[[str], Any]:
+    """The `__getattr__` of a package of this `__name__`: AttributeError for a name that is not public."""
 
     def resolve(name: str) -> Any:
-        homes = _homes(package) if home is None else {n: f"{package}.{module}" for n, module in home.items()}
+        homes = _homes(package)
         if name not in homes:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         value = getattr(import_module(homes[name]), name)
@@ -49,11 +44,10 @@ def names(package: str) -> list[str]:
 @cache
 def _homes(package: str) -> dict[str, str]:
     """Name -> module of the names that a package imports for type checkers alone, read once from its source."""
-    spec = sys.modules[package].__spec__
-    source = spec.loader.get_source(package) if spec and isinstance(spec.loader, InspectLoader) else None
+    source = Path(f"{sys.modules[package].__file__}").read_text(encoding="utf-8")
     return {
         name.name: f"{statement.module}"
-        for condition in ast.parse(source or "").body
+        for condition in ast.parse(source).body
         if isinstance(condition, ast.If)
         for statement in condition.body
         if isinstance(statement, ast.ImportFrom)
@@ -62,11 +56,7 @@ def _homes(package: str) -> dict[str, str]:
 
 
 class LazyModule:
-    """A module that is imported where its first name is asked for.
-
-    Args:
-        name: Its full name.
-    """
+    """A module of this full name that is imported where its first name is asked for."""
 
     def __init__(self, name: str) -> None:
         self._name = name

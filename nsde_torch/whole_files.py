@@ -19,6 +19,11 @@ def write_whole(path: Path, text: str) -> None:
     part.replace(path)
 
 
+def read_json(path: Path, default: Any = None) -> Any:
+    """What a JSON file holds; the default where there is no file."""
+    return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else default
+
+
 def write_tensors(path: Path, tensors: Mapping[str, Tensor], header: Mapping[str, str]) -> None:
     """Write a safetensors file with texts in its header, in place of the one that is there."""
     from safetensors.torch import save_file

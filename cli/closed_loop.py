@@ -377,9 +377,7 @@ def _flown(loop: ClosedLoop, place: Path, number: int) -> StoppedLoop | None:
     return None
 
 
-def _read(
-    loop: ClosedLoop, place: Path, known: KnownMachine, plan: Json, content: Json
-) -> dict[str, Any]:
+def _read(loop: ClosedLoop, place: Path, known: KnownMachine, plan: Json, content: Json) -> dict[str, Any]:
     """The evidence of the flight, unless that is known; a DataError where the logs hold no new run."""
     file = place / OBTAINED
     if (there := read_json(file, None)) is not None:

@@ -39,10 +39,9 @@ _UNUSED = ("motor_latency", "force_time", "moment_time")
 
 def known(config: DictConfig) -> Model | System:
     """What is known of the machine, for `run=pid` too: its declared physics."""
-    plain = build.options(config.mpc)
     from .schemas import MpcConfig
 
-    given = [name for name in _UNUSED if plain[name] != getattr(MpcConfig(), name)]
+    given = [name for name in _UNUSED if config.mpc[name] != getattr(MpcConfig, name)]
     if given:
         raise ConfigError(
             f"`mpc.{given[0]}` is of `nsde track`; a flight on PX4 makes up for latency by `delay`, and for what lasts "
@@ -55,8 +54,7 @@ def known(config: DictConfig) -> Model | System:
         check_uncovered(file.known)
         return file.known
     see_own_modules(Path(run))
-    effects = _effects(config) if config.run == DECLARED else ()
-    found = without_covered(knowledge(run, config.system.name, effects=effects))
+    found = without_covered(knowledge(run, config.system.name, effects=_effects(config)))
     if not isinstance(system_of(found), Multirotor):
         raise ConfigError(
             f"PX4 flies multirotors here (hexacopter, quadrotor); the machine of run={config.run} is a "
@@ -66,8 +64,8 @@ def known(config: DictConfig) -> Model | System:
 
 
 def _effects(config: DictConfig) -> list[Any]:
-    """Effects that the declared physics has beside it, those of files in the place of their names."""
-    given = build.options(config.system)["effects"]
+    """Effects that run=declared has beside the declared physics, those of files in the place of their names."""
+    given = build.options(config.system)["effects"] if config.run == DECLARED else ()
     out: list[Any] = []
     for entry in [given] if isinstance(given, str) else given:
         if isinstance(entry, str) and files.is_file(entry):
@@ -105,7 +103,7 @@ def runner(config: DictConfig, path: PathPoints, reference: Reference) -> Runner
         reference.path,
         run=config.run,
         system=config.system.name,
-        effects=_effects(config) if config.run == DECLARED else (),
+        effects=_effects(config),
         lead=LEAD if config.lead is None else config.lead,
     )
 

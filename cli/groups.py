@@ -53,14 +53,9 @@ def defaults(command: str) -> dict[str, str]:
     return {name: choice or NOTHING for name, choice in hydra_command(command).groups.items()}
 
 
-def has(command: str, name: str) -> bool:
-    """Whether a command has a key or group of this name."""
-    return name in {field.name for field in dataclasses.fields(schema(command))}
-
-
 def sweeps(command: str) -> bool:
     """Whether a command takes -m: one with a folder for its jobs."""
-    return has(command, "sweep_dir")
+    return "sweep_dir" in hydra_command(command).keys
 
 
 def choices(group: str, extra: Path | None = None) -> list[str]:
@@ -71,12 +66,17 @@ def choices(group: str, extra: Path | None = None) -> list[str]:
     return sorted(names)
 
 
-def files(command: str) -> dict[str, Key]:
-    """The keys of a command that name files or folders, whatever is chosen in its groups."""
+def every_key(command: str) -> list[Key]:
+    """The keys of a command, whatever is chosen in its groups."""
     found = list(walk(schema(command)))
     for group in defaults(command):
         found += [entry for own in CHOICES.get(group, {}).values() for entry in walk(own, f"{group}.")]
-    return {entry.path: entry for entry in found if entry.file}
+    return found
+
+
+def files(command: str) -> dict[str, Key]:
+    """The keys of a command that name files or folders."""
+    return {entry.path: entry for entry in every_key(command) if entry.file}
 
 
 def without_file(group: str) -> dict[str, Any]:

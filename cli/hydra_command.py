@@ -10,9 +10,8 @@ import sys
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import partial
-from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +20,6 @@ from nsde_torch.errors import CheckpointError, ConfigError, NsdeError
 from . import groups, help, messages
 from .exit_status import CRASHED, FAILED_JOBS, INTERRUPTED, OK, USER_ERROR, EndedError
 from .groups import without_file
-from .keys import walk
 from .quoted import as_typed, coordinates_named, path_word, quoted, typed_path
 from .registry import hydra_commands
 from .schemas import CHOICES, NAMES
@@ -37,12 +35,9 @@ _TRACEBACK = "NSDE_TRACEBACK"
 _HYDRA_FOLDERS = {"hydra.run.dir": "run_dir or out_dir", "hydra.sweep.dir": "sweep_dir"}
 _HYDRA_GROUPS = ("hydra", "hydra.run", "hydra.sweep", "hydra.job")  # that hold these
 _HYDRA_NAMES = ("hydra.output_subdir", "hydra.sweep.subdir", "hydra.job.name")
-# Hydra's options that are followed by a value, and their long names.
-WITH_VALUE = {
-    **{"-cd": "--config-dir", "-cn": "--config-name", "-c": "--cfg"},
-    **{"-p": "--package", "-i": "--info"},
-}
-
+_LONG = {"-cd": "config-dir", "-cn": "config-name", "-c": "cfg", "-p": "package", "-i": "info"}
+WITH_VALUE = {short: f"--{long}" for short, long in _LONG.items()}
+"""Hydra's options that are followed by a value, and their long names."""
 
 TEXTS = __file__  # beside the templates of what commands print (`nsde_torch.texts`)
 say = partial(print, flush=True)  # prints a line at once, of work that goes on
@@ -53,7 +48,6 @@ class Job:
     """What a command's function is given beside its configuration."""
 
     run_dir: Path  # folder of this job, made by Hydra
-    sweep: bool  # whether it is one of a sweep
     began: float = field(default_factory=time.perf_counter)
 
     @property
@@ -86,9 +80,14 @@ class HydraCommand:
     examples: tuple[tuple[str, str], ...] = ()  # words and what they do, for the help
 
     @property
+    def keys(self) -> list[str]:
+        """The keys and groups of the command itself."""
+        return [key.name for key in fields(self.schema)]
+
+    @property
     def folder_key(self) -> str:
         """The key that names the folder of a run."""
-        return "run_dir" if "run_dir" in self.schema.__dataclass_fields__ else "out_dir"  # type: ignore[attr-defined]
+        return "run_dir" if "run_dir" in self.keys else "out_dir"
 
     def main(self, arguments: Sequence[str]) -> int:
         """Run the command; returns the exit status."""
@@ -107,7 +106,7 @@ class HydraCommand:
             print(f"nsde {self.name}: {error}", file=sys.stderr)
             return error.status
         except NsdeError as error:
-            return self._user_error(error, messages.in_keys(str(error), self.schema.__dataclass_fields__))  # type: ignore[attr-defined]
+            return self._user_error(error, messages.in_keys(str(error), self.keys))
         except BrokenPipeError:
             raise  # `nsde effects | head`: the caller ends without a word
         except Exception as error:
@@ -134,7 +133,7 @@ class HydraCommand:
             sys.path.insert(0, str(folder.resolve()))
         sweep = "-m" in words or "--multirun" in words
         if sweep:
-            if not groups.sweeps(self.name):
+            if "sweep_dir" not in self.keys:
                 raise ConfigError(f"`nsde {self.name}` has no sweeps; leave out -m.")
             if any(word.startswith("run_dir=") for word in words):
                 raise ConfigError("`run_dir` is the folder of one run; a sweep takes `sweep_dir=...`.")
@@ -209,9 +208,9 @@ class HydraCommand:
             line += f" Finished jobs are in {LAST.sweep_dir}; see: {_report(LAST.sweep_dir)}"
         elif LAST.run_dir is not None and _holds_no_work(LAST.run_dir):
             # recorded as failed, so that its folder is free again
-            record(KeyboardInterrupt(), Job(LAST.run_dir, sweep=False), "interrupted")
+            record(KeyboardInterrupt(), LAST.run_dir, "interrupted")
             line += " There is nothing to continue yet: start the same command again."
-        elif LAST.run_dir is not None and groups.has(self.name, "resume"):
+        elif LAST.run_dir is not None and "resume" in self.keys:
             line += f" Continue with: {as_typed('nsde', self.name, paths={'resume': LAST.run_dir})}"
         elif LAST.run_dir is not None and self.goes_on:
             line += " What is finished is kept: start the same command again with "
@@ -298,12 +297,8 @@ def _report(sweep_dir: Path) -> str:
 
 def _opened(word: str, command: str) -> str:
     """`system.parameters.mass=1` adds to a dict that is open by design; Hydra wants that said with `++`."""
-    path = word.split("=", 1)[0]
-    own = [walk(schema, f"{group}.") for group, choices in CHOICES.items() for schema in choices.values()]
-    opened = any(
-        entry.default == {} and f"{path}.".startswith(f"{entry.path}.")
-        for entry in chain(walk(groups.schema(command)), *own)
-    )
+    path = f"{word.split('=', 1)[0]}."
+    opened = any(e.default == {} and path.startswith(f"{e.path}.") for e in groups.every_key(command))
     return f"++{word}" if opened else word
 
 
@@ -394,7 +389,7 @@ def primary(command: HydraCommand) -> dict[str, Any]:
         return content
     content[command.folder_key] = command.folder
     hydra["run"] = {"dir": f"${{{command.folder_key}}}"}
-    if "sweep_dir" in command.schema.__dataclass_fields__:  # type: ignore[attr-defined]
+    if "sweep_dir" in command.keys:
         content["sweep_dir"] = "multirun/${now:%Y-%m-%d}/${now:%H-%M-%S}"
         hydra["job"]["config"] = {"override_dirname": {"exclude_keys": list(command.unnamed)}}
         # The overrides name the job; slashes, brackets and quotes would not make a good folder.

@@ -67,7 +67,7 @@ class HydraJob:
     def __call__(self, config: DictConfig) -> float | None:
         """Check a configuration and run the job; its objective, None without one or where a failure was recorded."""
         hydra = HydraConfig.get()
-        job = Job(run_dir=Path(hydra.runtime.output_dir), sweep=hydra.mode == RunMode.MULTIRUN)
+        job, sweep = Job(Path(hydra.runtime.output_dir)), hydra.mode == RunMode.MULTIRUN
         LAST.error = None
         if self.folder:
             LAST.run_dir = job.run_dir
@@ -76,25 +76,20 @@ class HydraJob:
         _progress_to_files_alone()
         try:
             check_config(config, self.command, list(hydra.overrides.task))
-            set_threads(config, sweep=job.sweep)
+            if "threads" in config:
+                import torch
+
+                torch.set_num_threads(1 if sweep else config.threads)  # beside a job of a sweep others run
             objective: float | None = importlib.import_module(self.module).run(config, job)
             return objective
         except Exception as error:
             LAST.error = error
             message = messages.in_keys(str(error), config) if isinstance(error, NsdeError) else str(error)
             if self.folder:
-                record(error, job, message)
-            if job.sweep:
+                record(error, job.run_dir, message)
+            if sweep:
                 log.error("job failed: %s", message)  # a single run's error is printed by the command
             return None
-
-
-def set_threads(config: DictConfig, *, sweep: bool) -> None:
-    """CPU threads of torch where a command has that key; one for a job of a sweep, as others run beside it."""
-    if "threads" in config:
-        import torch
-
-        torch.set_num_threads(1 if sweep else config.threads)
 
 
 def _progress_to_files_alone() -> None:
@@ -122,12 +117,12 @@ def check_config(config: DictConfig, command: str, words: list[str], prefix: str
     check(schema, values, prefix)
 
 
-def record(error: BaseException, job: Job, message: str) -> None:
+def record(error: BaseException, folder: Path, message: str) -> None:
     """Write why a job ended into its folder."""
-    text = "".join(traceback.format_exception(type(error), error, error.__traceback__))
+    text = "".join(traceback.format_exception(error))
     content = {"error": type(error).__name__, "message": message, "traceback": text}
-    job.run_dir.mkdir(parents=True, exist_ok=True)
-    (job.run_dir / FAILED).write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / FAILED).write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
 
 
 class SweepWatch(Callback):

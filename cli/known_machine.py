@@ -78,8 +78,7 @@ def diagnosed(folder: Path, moved: str | None) -> KnownMachine:
         )
     config = OmegaConf.load(folder / CONFIG)
     assert isinstance(config, DictConfig)
-    build.expand_effects(config.system)
-    system = build.system(config.system)
+    system = build.system_options(config.system).make()
     data = config.data
     faults = faults_of_sensors(content)
     for name, values in faults.items():  # what sensors do is undone before any physics

@@ -1,6 +1,5 @@
 """What went wrong with the configuration, in one message that names the key and the nearest that exists."""
 
-import dataclasses
 import difflib
 import errno
 import re
@@ -14,6 +13,7 @@ from nsde_torch.lookup import did_you_mean
 from . import groups
 from .keys import walk
 from .quoted import as_typed, typed_path
+from .registry import hydra_command
 from .schemas import CHOICES
 
 # Arguments of the library whose key on the command line has another name.
@@ -107,7 +107,7 @@ def _no_group(group: str, command: str) -> str:
     """The message for a group that the command does not have, `system=` of one that reads a model above all."""
     own = groups.defaults(command)
     said = f"`{group}` is not a group of `nsde {command}`."
-    if group == "system" and groups.has(command, "run"):
+    if group == "system" and "run" in hydra_command(command).keys:
         said += " The system is that of the model, run=DIR"
         flown = "; it has to be a multirotor (hexacopter, quadrotor), which alone the controller flies."
         said += flown if "mpc" in own else "."
@@ -206,7 +206,7 @@ def _known_keys(command: str, words: Sequence[str]) -> tuple[list[str], dict[str
     """Keys and groups that exist now, and keys of other choices with the choices that have them."""
     chosen = groups.selected(command, words)
     known = [entry.path for entry in groups.typed_keys(command, words)]
-    known += [field.name for field in dataclasses.fields(groups.schema(command)) if field.name not in known]
+    known += [name for name in hydra_command(command).keys if name not in known]
     elsewhere: dict[str, list[str]] = {}
     for group, options in CHOICES.items():
         for choice, schema in options.items():

@@ -86,8 +86,7 @@ def _file_of(module: str) -> Path:
     """Where a module is, found without importing anything of its package."""
     top, *below = module.split(".")
     spec = find_spec(top or __name__)  # without a package one of ours
-    assert spec and spec.origin
-    path = Path(spec.origin)
+    path = Path(spec.origin if spec and spec.origin else "")
     return path.parent.joinpath(*below).with_suffix(".py") if below else path
 
 

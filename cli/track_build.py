@@ -113,7 +113,10 @@ def machine_name(config: DictConfig, known: Model | System) -> str:
 
 def plant(config: DictConfig, known: Model | System, *, seed: int) -> SteppedMachine:
     """The group `plant`; ConfigError for another machine than the model's, or an option that it does not have."""
-    generator = torch.Generator().manual_seed(seed)
+    how: dict[str, Any] = {
+        "generator": torch.Generator().manual_seed(seed),
+        **{name: config[name] for name in ("process_noise", "sensor_noise", "latency")},
+    }
     if config.kind == "learned":
         flown = known if config.run is None else load(config.run)
         if isinstance(flown, System):
@@ -123,27 +126,11 @@ def plant(config: DictConfig, known: Model | System, *, seed: int) -> SteppedMac
                 "plant=learned is the model itself: plant.effects and declared_only are of machines."
             )
         spec = machine(flown.spec.system)
-        return LearnedPlant(
-            flown,
-            dt=config.dt or spec.dt,
-            generator=generator,
-            sensor_std=spec.sensor_std,
-            process_noise=config.process_noise,
-            sensor_noise=config.sensor_noise,
-            latency=config.latency,
-            limits=(0.0, 1.0) if isinstance(flown.system, Multirotor) else spec.limits,
-        )
-    return make_plant(
-        machine_name(config, known),
-        generator=generator,
-        effects=build.options(config)["effects"],
-        declared_only=config.declared_only,
-        process_noise=config.process_noise,
-        sensor_noise=config.sensor_noise,
-        latency=config.latency,
-        dt=config.dt,
-        check=False,
-    )
+        limits = (0.0, 1.0) if isinstance(flown.system, Multirotor) else spec.limits
+        return LearnedPlant(flown, dt=config.dt or spec.dt, sensor_std=spec.sensor_std, limits=limits, **how)
+    effects, bare = build.options(config)["effects"], config.declared_only
+    name = machine_name(config, known)
+    return make_plant(name, effects=effects, declared_only=bare, dt=config.dt, check=False, **how)
 
 
 def envelope(config: DictConfig, path: Reference, known: Model | System) -> feasible.Envelope:
@@ -152,8 +139,7 @@ def envelope(config: DictConfig, path: Reference, known: Model | System) -> feas
     predictor = Predictor(known, dt=options.dt)
     if not config.reference.check:
         return feasible.envelope(path, predictor)
-    tilt = config.reference.tilt_limit
-    return feasible.check(path, predictor, options, tilt=tilt)
+    return feasible.check(path, predictor, options, tilt=config.reference.tilt_limit)
 
 
 def problem(config: DictConfig, system: System | None = None) -> ProblemOptions:
@@ -188,7 +174,7 @@ def autopilot(
     say: Say,
 ) -> Autopilot:
     """A controller by its name: `pid`, or the predictive one with what is known of the machine."""
-    mpc, flown = config.mpc, config.plant
+    mpc = config.mpc
     if abs(sample * max(1, round(mpc.period / sample)) - mpc.period) > 1e-6:
         raise ConfigError(
             f"`mpc.period` must be a multiple of {sample:g} s, the sample of the plant; got {mpc.period:g} s."
@@ -213,7 +199,7 @@ def autopilot(
         period=mpc.period,
         sample=sample,
         estimator=estimator(mpc, latency=latency(config, known), sample=sample),
-        state_latency=flown.state_latency,
+        state_latency=config.plant.state_latency,
         say=say,
     )
 

@@ -6,12 +6,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from nsde_torch.diagnosis.decisions import Options
+from nsde_torch.systems.options import SystemOptions, system_options
 
 from ..exit_status import INTERRUPTED, EndedError
 from ..hydra_command import Config, HydraCommand, Job
 from ..keys import group, key, of
 from ..schemas import DataConfig, LossConfig, ModelConfig, SolverConfig, SystemConfig, TrainerConfig
-from .train import GROUPS, TrainConfig, fit
+from .train import GROUPS, fit
 
 if TYPE_CHECKING:
     from nsde_torch.diagnosis import Diagnosis
@@ -84,7 +85,6 @@ def run(config: Config, job: Job) -> None:
     from ..quoted import as_typed
 
     build.make_device(config.device)  # refused before hours of work, not after them
-    build.expand_effects(config.system)
     machine = build.system_options(config.system)
     system = machine.make()
     check_candidates(system, config.candidates or (), config.also)
@@ -109,7 +109,7 @@ def run(config: Config, job: Job) -> None:
             raise KeyboardInterrupt
         return  # neither trained nor rehearsed with: that is no end of the search
     try:
-        _follow(config, job, found, content)
+        _follow(config, machine, job, found, content)
     except KeyboardInterrupt:  # the diagnosis is whole: there is nothing to resume
         message = f"interrupted. The diagnosis in {job.run_dir} is finished; {note.partition('; ')[2]}"
         raise EndedError(message, INTERRUPTED) from None
@@ -119,7 +119,7 @@ def run(config: Config, job: Job) -> None:
         print(f"{job.run_dir / REPORT} has all of it, and so does verbose=true")
 
 
-def _follow(config: Config, job: Job, found: Diagnosis, content: Content) -> None:
+def _follow(config: Config, machine: SystemOptions, job: Job, found: Diagnosis, content: Content) -> None:
     """Train and rehearse with what was found."""
     import nsde_torch
     from nsde_torch.diagnosis.files import REPORT, write_content
@@ -128,7 +128,7 @@ def _follow(config: Config, job: Job, found: Diagnosis, content: Content) -> Non
 
     if config.retrain and (found.effects or set(found.sensor_faults) & set(found.added)):
         print(f"\ntraining the model with {', '.join(found.added)}", flush=True)
-        content["model"] = _train(config, job, found)
+        content["model"] = _train(config, machine, job, found)
         write_content(content, job.run_dir)
     if config.rehearse:
         made = nsde_torch.rehearse(found, logs=config.rehearsals, seed=config.seed)
@@ -153,27 +153,19 @@ def _training(config: Config, job: Job) -> str:
     return as_typed(*words, paths=paths)
 
 
-def _train(config: Config, job: Job, found: Diagnosis) -> dict[str, Any]:
+def _train(config: Config, machine: SystemOptions, job: Job, found: Diagnosis) -> dict[str, Any]:
     """Train the model of the configuration with the effects; an ordinary run directory."""
     from omegaconf import open_dict
 
-    from nsde_torch.effects.files import own_name
-
-    from .. import build
-
-    for effect, values in found.effects.items():
-        for parameter, value in values.items():
-            build.add_value(config.system, own_name(effect), parameter, value)
-    for name, value in found.declared_values.items():
-        build.add_own(config.system, name, value)
+    # what was given stays as it is
+    known = {**found.declared_values, **machine.values}
+    machine = system_options(machine, effects=found.effects, parameters=known)
     for fault, found_values in found.sensor_faults.items():
         if fault in config.data:  # simulated runs are made by sensors without one
             with open_dict(config.data[fault]):
                 for name, value in found_values.items():
                     config.data[fault][name] = config.data[fault].get(name, 0.0) + value
-    config.system.effects = [*config.system.effects, *found.effects]
-    about = {k: v for k, v in build.options(config).items() if k in TrainConfig.__dataclass_fields__}
-    metrics = fit(config, job.run_dir / MODEL, about=about)
+    metrics = fit(config, machine, job.run_dir / MODEL)
     test = metrics.get("test", {})
     return {
         "path": MODEL,

@@ -108,7 +108,6 @@ def run(config: Config, job: Job) -> None:
     proposes = config.overwrite or target not in (None, _beside(path))
     kind = config.kind or format_of(path)
     there = mapping_beside(path) if kind in READERS and READERS[kind].mapped and not proposes else None
-    build.expand_effects(config.system)
     machine = build.system_options(config.system)
     if machine.name == UNNAMED and machine.options:
         raise ConfigError(

@@ -8,7 +8,8 @@ import json
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from contextlib import suppress
+from dataclasses import dataclass, field
 from fnmatch import fnmatch
 from pathlib import Path
 from statistics import fmean, stdev
@@ -18,6 +19,7 @@ from nsde_torch.aligned import aligned
 from nsde_torch.errors import ConfigError
 from nsde_torch.plain_yaml import read_yaml
 from nsde_torch.texts import rendered
+from nsde_torch.whole_files import read_json
 
 from ..exit_status import OK
 from ..help import found_files
@@ -26,7 +28,6 @@ from ..registry import PlainCommand
 
 DONE, FAILED, UNFINISHED = "done", "failed", "unfinished"
 _SCALE = ("system", "model", "loss")
-_RESULTS = ("metrics.json", "policy.json")
 # Ranked by the first of these that a job has; smaller is better.
 SCORES = ("validation.score", "validation_score", "score")
 # Shown beside the score: errors on the held-out runs; of a policy, its reward on the truth.
@@ -50,11 +51,12 @@ def main(arguments: Sequence[str]) -> int:
         names = ", ".join(sorted({name for job in jobs for name in job.metrics})) or "none at all"
         raise ConfigError(f"no job has the metric `{options.by}`; there are: {names}.")
     columns = _columns(jobs, options.columns or COLUMNS, score)
-    groups = sorted(grouped(jobs), key=lambda group: (_place(group.mean(score)), group.label))
-    if options.by:  # the user says that this number compares
-        groups = [replace(group, jobs=tuple(replace(j, scale="") for j in group.jobs)) for group in groups]
-    print(report(jobs, groups, score, columns))
-    _write_json(folder / "sweep_report.json", jobs, groups, score, columns)
+    # groups whose scores compare: all of them by a number that the user names
+    scales: dict[str, list[Group]] = {}
+    for group in sorted(grouped(jobs), key=lambda group: (_place(group.mean(score)), group.label)):
+        scales.setdefault("" if options.by else group.jobs[0].scale, []).append(group)
+    print(report(jobs, scales, score, columns))
+    _write_json(folder / "sweep_report.json", jobs, scales, score, columns)
     _write_csv(folder / "sweep_report.csv", jobs)
     return OK
 
@@ -72,24 +74,15 @@ def _place(value: float | None) -> float:
     return math.inf if value is None or math.isnan(value) else value
 
 
-def report(jobs: Sequence[SweepJob], groups: Sequence[Group], score: str, columns: Sequence[str]) -> str:
-    failed, unfinished = ([job for job in jobs if job.status == status] for status in (FAILED, UNFINISHED))
-    scales = []
-    for scale, alike in by_scale(groups).items():
+def report(jobs: Sequence[SweepJob], scales: Scales, score: str, columns: Sequence[str]) -> str:
+    rankings = []
+    for scale, alike in scales.items():
         shown = [c for c in columns if any(c in g.jobs[0].metrics for g in alike)]
         best = min(alike[0].jobs, key=lambda job: _place(job.metrics.get(score)))
-        scales.append((scale, _ranking(alike, score, shown), best.folder))
-    lists = {"failed": failed, "unfinished": unfinished}
-    done = len(jobs) - len(failed) - len(unfinished)
-    return rendered(TEXTS, "sweep.txt", count=len(jobs), done=done, scales=scales, score=score, **lists)
-
-
-def by_scale(groups: Sequence[Group]) -> dict[str, list[Group]]:
-    """Groups whose scores compare, in their order."""
-    out: dict[str, list[Group]] = {}
-    for group in groups:
-        out.setdefault(group.scale, []).append(group)
-    return out
+        rankings.append((scale, _ranking(alike, score, shown), best.folder))
+    of = {status: [job for job in jobs if job.status == status] for status in (FAILED, UNFINISHED)}
+    done = len(jobs) - len(of[FAILED]) - len(of[UNFINISHED])
+    return rendered(TEXTS, "sweep.txt", count=len(jobs), done=done, scales=rankings, score=score, **of)
 
 
 def _ranking(groups: Sequence[Group], score: str, columns: Sequence[str]) -> list[str]:
@@ -142,7 +135,7 @@ def _pair(group: Group, metric: str) -> str:
 
 
 def _write_json(
-    path: Path, jobs: Sequence[SweepJob], groups: Sequence[Group], score: str, columns: Sequence[str]
+    path: Path, jobs: Sequence[SweepJob], scales: Scales, score: str, columns: Sequence[str]
 ) -> None:
     content: dict[str, Any] = {
         "score": score,
@@ -155,7 +148,7 @@ def _write_json(
                 "mean": {name: group.mean(name) for name in (score, *columns)},
                 "standard_deviation": {name: group.spread(name) for name in (score, *columns)},
             }
-            for scale, alike in by_scale(groups).items()
+            for scale, alike in scales.items()
             for rank, group in enumerate(alike, start=1)
         ],
         "failed": [{"job": job.folder.name, "reason": job.reason} for job in jobs if job.status == FAILED],
@@ -165,15 +158,13 @@ def _write_json(
 
 
 def _write_csv(path: Path, jobs: Sequence[SweepJob]) -> None:
-    rows = [
-        {"job": j.folder.name, "status": j.status, "reason": j.reason, **j.overrides, **j.metrics}
-        for j in jobs
-    ]
     keys = [key for job in jobs for key in job.overrides] + [name for job in jobs for name in job.metrics]
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, dict.fromkeys(["job", "status", "reason", *keys]))
         writer.writeheader()
-        writer.writerows(rows)
+        for j in jobs:
+            own = {"job": j.folder.name, "status": j.status, "reason": j.reason}
+            writer.writerow({**own, **j.overrides, **j.metrics})
 
 
 # --- the jobs of a sweep as its folders record them: overrides, status, and the numbers that they ended in ------------
@@ -197,10 +188,6 @@ class Group:
     label: str
     jobs: tuple[SweepJob, ...]
 
-    @property
-    def scale(self) -> str:
-        return self.jobs[0].scale
-
     def values(self, metric: str) -> list[float]:
         """The finite values of one metric over the jobs."""
         found = (job.metrics.get(metric, math.nan) for job in self.jobs)
@@ -217,6 +204,9 @@ class Group:
         return stdev(values) if len(values) > 1 else None
 
 
+Scales = Mapping[str, Sequence[Group]]
+
+
 def read_jobs(sweep_dir: Path) -> list[SweepJob]:
     """Every job below a folder, in the order of their numbers."""
     records = sweep_dir.glob("**/.hydra/overrides.yaml")
@@ -225,22 +215,14 @@ def read_jobs(sweep_dir: Path) -> list[SweepJob]:
 
 def grouped(jobs: Sequence[SweepJob]) -> list[Group]:
     """Finished jobs together with those that differ in the seed alone; labels name only what varies."""
-    varying = {
-        key
-        for job in jobs
-        for key in job.overrides
-        if len({other.overrides.get(key) for other in jobs}) > 1 and key != "seed"
-    }
+    every = {key for job in jobs for key in job.overrides} - {"seed"}
+    varying = {key for key in every if len({job.overrides.get(key) for job in jobs}) > 1}
     members: dict[tuple[str, str], list[SweepJob]] = {}
     for job in jobs:
         if job.status == DONE:
-            members.setdefault((job.scale, label(job, varying)), []).append(job)
+            named = [f"{key}={value}" for key, value in job.overrides.items() if key in varying]
+            members.setdefault((job.scale, " ".join(named) or "all alike"), []).append(job)
     return [Group(name, tuple(group)) for (_, name), group in members.items()]
-
-
-def label(job: SweepJob, keys: set[str]) -> str:
-    """The overrides of a job that are worth naming."""
-    return " ".join(f"{key}={value}" for key, value in job.overrides.items() if key in keys) or "all alike"
 
 
 def numbers(content: Any, prefix: str = "") -> Iterator[tuple[str, float]]:
@@ -262,12 +244,10 @@ def _read_job(folder: Path) -> SweepJob:
     overrides = {key.lstrip("+"): value for key, _, value in (str(word).partition("=") for word in listed)}
     if (folder / "failed.json").is_file():
         return SweepJob(folder, overrides, FAILED, reason=_reason(folder / "failed.json"))
-    metrics = next((folder / name for name in _RESULTS if (folder / name).is_file()), None)
-    if metrics is None:
-        return SweepJob(folder, overrides, UNFINISHED)
-    try:
-        content = json.loads(metrics.read_text(encoding="utf-8"))
-    except json.JSONDecodeError:  # cut short: the process died while it wrote
+    content = None
+    with suppress(json.JSONDecodeError):  # cut short: the process died while it wrote
+        content = read_json(folder / "metrics.json", read_json(folder / "policy.json"))
+    if content is None:
         return SweepJob(folder, overrides, UNFINISHED)
     scale = " ".join(f"{key}={content[key]}" for key in _SCALE if isinstance(content.get(key), str))
     metrics_of = dict(numbers(content))
@@ -279,7 +259,7 @@ def _read_job(folder: Path) -> SweepJob:
 
 def _reason(path: Path) -> str:
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = read_json(path)
         return " ".join(f"{content['error']}: {content['message']}".split())
     except (json.JSONDecodeError, KeyError, TypeError):
         return f"{path.name} is damaged"

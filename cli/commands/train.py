@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from nsde_torch.recall import recall
+from nsde_torch.systems.options import SystemOptions
 from nsde_torch.training.options import LossOptions, TrainerOptions
 
 from ..hydra_command import Config, HydraCommand, Job
@@ -62,13 +63,12 @@ def run(config: Config, job: Job) -> float:
     """Train one model; the validation score of the kept one."""
     from .. import build
 
-    build.expand_effects(config.system)
-    metrics = fit(config, job.run_dir, about=build.options(config))
+    metrics = fit(config, build.system_options(config.system), job.run_dir)
     return float(metrics["validation"]["score"])
 
 
-def fit(config: Config, run_dir: Path, *, about: dict[str, Any]) -> dict[str, Any]:
-    """Train what a checked configuration describes; `about` is what is recorded. The content of `metrics.json`."""
+def fit(config: Config, machine: SystemOptions, run_dir: Path) -> dict[str, Any]:
+    """Train a model of a machine as a checked configuration says; the content of `metrics.json`."""
     import torch
     from omegaconf import OmegaConf
 
@@ -76,12 +76,12 @@ def fit(config: Config, run_dir: Path, *, about: dict[str, Any]) -> dict[str, An
 
     from .. import build
 
-    machine = build.system_options(config.system)
     system = machine.make()
     data = recall(
         (OmegaConf.to_yaml(config.data), OmegaConf.to_yaml(config.system)),
         lambda: build.dataset(config.data, system),
     )
+    about = {k: v for k, v in build.options(config).items() if k in TrainConfig.__dataclass_fields__}
     model = nsde_torch.train(
         data,
         system=machine,
@@ -96,6 +96,6 @@ def fit(config: Config, run_dir: Path, *, about: dict[str, Any]) -> dict[str, An
         verbose=config.verbose,
         device=build.make_device(config.device),
         dtype=getattr(torch, config.dtype),
-        about={"command": "train", "config": about},
+        about={"command": "train", "config": {**about, "system": asdict(machine)}},
     )
     return dict(model.metrics)

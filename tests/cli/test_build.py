@@ -33,7 +33,7 @@ def _configuration(*words: str) -> Any:
 
 
 def _spec(config: Any) -> Any:
-    machine = build.system(config.system)
+    machine = build.system_options(config.system).make()
     still = Run("still", 0.01 * np.arange(50), np.zeros((50, machine.nx)), np.zeros((50, machine.nu)))
     choice = Choice(
         options=build.model_options(config.model), system=build.system_options(config.system), machine=machine,
@@ -70,7 +70,7 @@ def test_a_model_by_name_is_that_of_the_command_line(kind: str) -> None:
 def test_constants_that_are_not_set_are_the_systems_own(name: str) -> None:
     words = [f"system={name}", "loss=paper"]
     config = _configuration(*words)
-    system, spec, losses = build.system(config.system), _spec(config), _losses(*words)
+    system, spec, losses = build.system_options(config.system).make(), _spec(config), _losses(*words)
     own = system.defaults
     assert system.name == name
     assert (spec.dt, spec.horizon, spec.step) == (own.dt, own.horizon, own.step)

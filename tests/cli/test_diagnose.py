@@ -17,6 +17,7 @@ from nsde_torch.models import IdentifiedModel
 from nsde_torch.recording import Recording
 from nsde_torch.simulation import simulate
 from nsde_torch.simulation.generate import write
+from nsde_torch.systems.options import SystemOptions
 from tests.helpers.commands import Said
 
 pytestmark = [pytest.mark.usefixtures("elsewhere"), pytest.mark.drawn]
@@ -48,11 +49,11 @@ def diagnosed(runs: Path, tmp_path_factory: pytest.TempPathFactory) -> Diagnosed
     return out, json.loads((out / "diagnosis.json").read_text())
 
 
-def expanded(effects: list[str], **parameters: Any) -> Any:
+def expanded(effects: list[str], **parameters: Any) -> SystemOptions:
     """The group `system` of a spring once the effects of files are in the place of their names."""
-    config = OmegaConf.create({"name": "mass_spring_damper", "effects": effects, "parameters": parameters})
-    build.expand_effects(config)
-    return config
+    return build.system_options(
+        OmegaConf.create({"name": "mass_spring_damper", "effects": effects, "parameters": parameters})
+    )
 
 
 def test_one_command_finds_the_effect_and_writes_what_it_says(diagnosed: Diagnosed) -> None:
@@ -70,11 +71,11 @@ def test_one_command_finds_the_effect_and_writes_what_it_says(diagnosed: Diagnos
 
 def test_effects_yaml_gives_a_training_the_effects_and_their_values(diagnosed: Diagnosed) -> None:
     out, _ = diagnosed
-    config = expanded([str(out / "effects.yaml"), "input_delay"])
-    assert config.effects == ["coulomb_friction", "input_delay"]
-    assert config.parameters.coulomb_friction.size == pytest.approx(0.3, rel=0.1)
+    machine = expanded([str(out / "effects.yaml"), "input_delay"])
+    assert machine.effects == ("coulomb_friction", "input_delay")
+    assert machine.values["coulomb_friction.size"] == pytest.approx(0.3, rel=0.1)
     given = expanded([str(out / "effects.yaml")], coulomb_friction={"size": 0.7})
-    assert given.parameters.coulomb_friction.size == 0.7
+    assert given.values["coulomb_friction.size"] == 0.7
 
 
 @pytest.mark.parametrize(
@@ -139,9 +140,9 @@ def test_an_effect_of_the_users_own_is_found_and_its_file_names_it_for_other_com
     result = json.loads(Path("out/diagnosis.json").read_text())
     assert result["added"] == ["detent"]
     assert result["parameters"]["detent.pitch"]["value"] == pytest.approx(0.1, rel=0.02)
-    config = expanded(["out/effects.yaml"])
-    assert config.effects == [own]
-    assert config.parameters.detent.size == pytest.approx(0.3, rel=0.1)
+    machine = expanded(["out/effects.yaml"])
+    assert machine.effects == (own,)
+    assert machine.values["detent.size"] == pytest.approx(0.3, rel=0.1)
 
 
 def find(tree: Any, key: str) -> Any:

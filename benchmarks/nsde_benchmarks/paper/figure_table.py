@@ -232,7 +232,7 @@ def held_out(folder: Path) -> Split:
     from nsde_torch.cli import build
 
     config = OmegaConf.create(yaml.safe_load((folder / "config.yaml").read_text(encoding="utf-8"))["config"])
-    system = build.system(config.system)
+    system = build.system_options(config.system).make()
     return split_runs(build.dataset(config.data, system), config.data.test)
 
 

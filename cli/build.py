@@ -47,9 +47,13 @@ def options(config: DictConfig, *left_out: str) -> dict[str, Any]:
 
 
 def shared(library: type[Any], config: DictConfig) -> dict[str, Any]:
-    """The fields of a class of options that a part of the configuration has too, as keyword arguments."""
+    """The fields of a class of options that a part of the configuration has too; lists are tuples there."""
     given = options(config)
-    return {f.name: given[f.name] for f in fields(library) if f.name in given}
+    return {f.name: _tupled(given[f.name]) for f in fields(library) if f.name in given}
+
+
+def _tupled(value: Any) -> Any:
+    return tuple(map(_tupled, value)) if isinstance(value, list) else value
 
 
 def fence(config: DictConfig, group: str, walls: int | None = 3) -> tuple[tuple[float, float], ...]:

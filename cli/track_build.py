@@ -144,11 +144,7 @@ def envelope(config: DictConfig, path: Reference, known: Model | System) -> feas
 
 def problem(config: DictConfig, system: System | None = None) -> ProblemOptions:
     """What a plan pays for, of a machine; None: with what is not given as a multirotor has it."""
-    given: dict[str, Any] = {
-        name: tuple(value) if isinstance(value, list) else value
-        for name, value in build.shared(ProblemOptions, config).items()
-        if value is not None
-    }
+    given = {k: v for k, v in build.shared(ProblemOptions, config).items() if v is not None}
     if "fence" in given:
         given["fence"] = build.fence(config, "mpc", 3 if isinstance(system, Multirotor) else None)
     return ProblemOptions(**given) if system is None else problem_of(system, **given)

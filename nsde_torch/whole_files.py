@@ -46,14 +46,15 @@ def read_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
 
 def json_text(content: Any, *, indent: int | None = 1) -> str:
     """Plain containers as JSON, `null` for what is no finite number: an error of a prediction that has diverged."""
-    return json.dumps(_of_finite_numbers(content), indent=indent, allow_nan=False)
+    return json.dumps(finite(content), indent=indent, allow_nan=False)
 
 
-def _of_finite_numbers(value: Any) -> Any:
+def finite(value: Any) -> Any:
+    """Plain containers, with None for what is no finite number."""
     if isinstance(value, float):
         return value if isfinite(value) else None
     if isinstance(value, Mapping):
-        return {key: _of_finite_numbers(one) for key, one in value.items()}
+        return {key: finite(one) for key, one in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_of_finite_numbers(one) for one in value]
+        return [finite(one) for one in value]
     return value

@@ -63,28 +63,23 @@ COMMAND = HydraCommand(
 
 
 def run(config: Config, job: Job) -> None:
-    from nsde_torch.design import DesignOptions, design, question_of
+    from nsde_torch.design import design, question_of
     from nsde_torch.progress import Stages
 
+    from .. import build
     from ..known_machine import diagnosed
 
-    options = DesignOptions(**_options(config))
+    members = build.options(config)["members"] or []
+    if not (isinstance(members, list) and all(isinstance(m, list) and m for m in members)):
+        raise ConfigError(f"`members` takes lists of effects, [[EFFECT,...],[EFFECT,...]]; got {members!r}.")
+    options = DesignOptions(**build.shared(DesignOptions, config))
     known = diagnosed(Path(config.run), config.runs)
     if config.flown is not None:
         _read(config, job, known, options)
         return
     question = question_of(known.content, known.system, options)
     stages = Stages()
-    made = design(
-        known.system,
-        known.runs,
-        question,
-        options,
-        clock=known.clock,
-        values=known.values,
-        baselines=config.baselines,
-        say=stages,
-    )
+    made = design(question=question, options=options, **known.given, baselines=config.baselines, say=stages)
     stages.close()
     made.save(job.run_dir)
     print(made.report)
@@ -94,22 +89,6 @@ def run(config: Config, job: Job) -> None:
         f"give the machine plan.csv (simulated: {as_typed('nsde', 'simulate', 'pilot=plan', paths=plan)}), then: "
         f"{as_typed('nsde', 'design', 'flown=LOG', paths={'run': config.run, **plan})}"
     )
-
-
-def _options(config: Config) -> dict[str, Any]:
-    from .. import build
-
-    given = build.shared(DesignOptions, config)
-    members = given["members"]
-    if members is not None:
-        if not (isinstance(members, list) and all(isinstance(m, list) and m for m in members)):
-            raise ConfigError(
-                f"`members` takes lists of effects, [[EFFECT,...],[EFFECT,...]]; got {members!r}."
-            )
-        given["members"] = tuple(tuple(map(str, m)) for m in members)
-    for name in ("parameters", "hertz"):
-        given[name] = None if given[name] is None else tuple(given[name])
-    return given
 
 
 def _read(config: Config, job: Job, known: Any, options: DesignOptions) -> None:
@@ -125,22 +104,16 @@ def _read(config: Config, job: Job, known: Any, options: DesignOptions) -> None:
         planned = read_design(config.plan)
         expected, asked = planned["expected"], planned["question"]
         if options.members is None and options.parameters is None:
-            options = (
-                replace(options, members=tuple(map(tuple, asked["members"])))
-                if asked["kind"] == "tie"
-                else replace(options, parameters=tuple(asked["parameters"]))
-            )
+            tie = tuple(map(tuple, asked["members"])) if asked["kind"] == "tie" else None
+            parameters = None if tie else tuple(asked["parameters"])
+            options = replace(options, members=tie, parameters=parameters)
     found = obtained(
-        known.system,
-        known.runs,
-        flown_runs(known, config.flown),
-        question_of(known.content, known.system, options),
-        clock=known.clock,
-        values=known.values,
+        flown=flown_runs(known, config.flown),
+        question=question_of(known.content, known.system, options),
+        **known.given,
         expected=expected,
     )
-    text = json_text(found.content())
-    (job.run_dir / OBTAINED).write_text(text + "\n", encoding="utf-8")
+    (job.run_dir / OBTAINED).write_text(json_text(found.content()) + "\n", encoding="utf-8")
     print(found.report)
     print(
         f"wrote {job.run_dir / OBTAINED}; diagnose it with the other runs: nsde diagnose data.path=FOLDER_OF_ALL"

@@ -113,12 +113,11 @@ def run(config: Config, job: Job) -> float:
         about = {"kind": kind, "name": model.spec.kind, "run": str(Path(config.environment).resolve())}
         if model.capabilities.propagation is not None:
             about["propagation"] = config.propagation or model.capabilities.propagation
-    ppo = build.options(config.ppo)
     result = PolicyTraining(
         wanted,
         environment=environment,
         truth=truth,
-        options=PolicyOptions(**{**ppo, "hidden": tuple(ppo["hidden"])}, interactions=config.steps),
+        options=PolicyOptions(**build.shared(PolicyOptions, config.ppo), interactions=config.steps),
         seed=config.seed,
         folder=job.run_dir,
         about={"environment": about, "truth": str(config.truth), "sensor_noise": noise},

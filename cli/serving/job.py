@@ -240,15 +240,12 @@ class Shelf:
 
     def _resume(self, job: ServedJob) -> None:
         """A job that was at work when the page ended has its logs still."""
-        if job.state in AT_WORK:
-            state = "refused" if job.state == "looking" else "cancelled"
-            self.note(job, state=state, sentence="The page was closed while it was at work; start it again.")
-        elif job.state == "uploading":
-            self.note(
-                job,
-                state="refused",
-                sentence="The page was closed before all logs had arrived; drop them again.",
-            )
+        left = {"uploading": "refused", "looking": "refused", "waiting": "cancelled", "running": "cancelled"}
+        if job.state in left:
+            when = "while it was at work; start it again."
+            if job.state == "uploading":
+                when = "before all logs had arrived; drop them again."
+            self.note(job, state=left[job.state], sentence=f"The page was closed {when}")
 
     def all(self) -> list[ServedJob]:
         """The jobs, the newest first."""

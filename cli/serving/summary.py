@@ -17,9 +17,28 @@ _PICTURES = ("held_out.png", "residual.png", "unexplained.png", "flexible.png")
 def page_summary(content: Content, plots: Collection[str]) -> dict[str, Any]:
     """What stands above the report of a diagnosis, with these files in `plots/`."""
     from nsde_torch.diagnosis import text  # loads torch
+    from nsde_torch.evaluation.report import number
 
     errors = content["errors"]
-    changed = errors["before"] != errors["after"]
+    changed, keys = errors["before"] != errors["after"], [f"{h:g}" for h in errors["horizons_s"]]
+    residual = [
+        {
+            "name": name,
+            "unit": "" if left["unit"] == "1" else left["unit"],
+            "before": number(left["before"]),
+            "after": number(left["after"]),
+            "ratio": f"{left['ratio']:.2g}",
+        }
+        for name, left in errors["residual"].items()
+    ]
+    predictions = [
+        {
+            "name": name,
+            "unit": errors["units"][name],
+            "cells": [[_short(before[h]), _short(errors["after"][name][h])] for h in keys],
+        }
+        for name, before in errors["before"].items()
+    ]
     rest = {r["effect"] for r in content["told"]["rest"]}
     findings = [*text.in_order(content), *(f for f in content["findings"] if f["name"] in rest)]
     return {
@@ -31,9 +50,9 @@ def page_summary(content: Content, plots: Collection[str]) -> dict[str, Any]:
         "aside": [f"{a['sentence']} This is {a['reason']}." for a in content["aside"]],
         "unexplained": [u["sentence"] for u in content["unexplained"]],
         "measured_on": errors["measured_on"],
-        "residual": _residual(content) if changed else [],
-        "horizons": [f"{h:g}" for h in errors["horizons_s"]],
-        "predictions": _predictions(errors),
+        "residual": residual if changed else [],
+        "horizons": keys,
+        "predictions": predictions,
         "changed": changed,
         "pictures": [name for name in _PICTURES if name in plots],
     }
@@ -70,35 +89,6 @@ def _finding(finding: Mapping[str, Any], content: Content, plots: Collection[str
         ],
         "picture": picture if picture in plots else "",
     }
-
-
-def _residual(content: Content) -> list[dict[str, str]]:
-    """Residual of each channel on runs left out, before and after."""
-    from nsde_torch.evaluation.report import number
-
-    return [
-        {
-            "name": name,
-            "unit": "" if left["unit"] == "1" else left["unit"],
-            "before": number(left["before"]),
-            "after": number(left["after"]),
-            "ratio": f"{left['ratio']:.2g}",
-        }
-        for name, left in content["errors"]["residual"].items()
-    ]
-
-
-def _predictions(errors: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Errors of open-loop predictions, before and after, a row a quantity."""
-    keys = [f"{h:g}" for h in errors["horizons_s"]]
-    return [
-        {
-            "name": name,
-            "unit": errors["units"][name],
-            "cells": [[_short(before[h]), _short(errors["after"][name][h])] for h in keys],
-        }
-        for name, before in errors["before"].items()
-    ]
 
 
 def _short(value: float | None) -> str:

@@ -3,20 +3,19 @@
 `python -m nsde_torch.cli.serving.worker MEMORY SECONDS PARENT WORD...`. It ends when its parent does.
 """
 
+import ctypes
 import os
+import resource
 import signal
 import sys
 
 _LARGEST_FILE = 2 << 30  # bytes that one file of a result may have
+_SET_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG
 _SPARE = 60.0  # seconds of computing beyond the time limit, which the parent holds
 
 
 def limit(memory: int, seconds: float) -> None:
-    """Bound memory, computing time and files of this process and its children, where the system can."""
-    try:
-        import resource
-    except ImportError:  # not a POSIX system
-        return
+    """Bound memory, computing time and files of this process and its children."""
     wanted = {
         resource.RLIMIT_DATA: memory,
         resource.RLIMIT_CPU: int(seconds + _SPARE),
@@ -29,20 +28,11 @@ def limit(memory: int, seconds: float) -> None:
         resource.setrlimit(kind, (most, most))
 
 
-def end_with(parent: int) -> None:
-    """Be killed when the parent ends, however it ends (Linux)."""
-    if sys.platform == "linux":
-        import ctypes
-
-        set_death_signal = 1  # PR_SET_PDEATHSIG
-        ctypes.CDLL(None).prctl(set_death_signal, signal.SIGKILL)
-        if os.getppid() != parent:
-            sys.exit(1)
-
-
 def main() -> None:
     memory, seconds, parent, *words = sys.argv[1:]
-    end_with(int(parent))
+    ctypes.CDLL(None).prctl(_SET_DEATH_SIGNAL, signal.SIGKILL)  # when the parent ends, however it ends
+    if os.getppid() != int(parent):
+        sys.exit(1)
     limit(int(memory), float(seconds))
     from ..main import entry
 

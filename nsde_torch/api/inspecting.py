@@ -1,31 +1,40 @@
 """What is in a log, what its columns mean to a system, and whether that is so."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
+from math import exp
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from nsde_torch.api.reading import REFUSED, check_physics
-from nsde_torch.data.mapping.apply import apply
-from nsde_torch.data.mapping.checks import LogCheck, checks, together
+from nsde_torch.api.reading import read
+from nsde_torch.data.mapping.apply import NUMBERINGS, apply, order
+from nsde_torch.data.mapping.checks import SUSPECT, LogCheck, checks, together
 from nsde_torch.data.mapping.mapping import ColumnEntry, LogMapping, read_mapping, targets, text
 from nsde_torch.data.mapping.proposal import Proposal, propose
 from nsde_torch.data.mapping.reader import LogFile, format_of, log_files, scaled_by_all
 from nsde_torch.data.places import files_of, log_place
 from nsde_torch.data.raw import RawRun
 from nsde_torch.data.readers import READERS, reader
+from nsde_torch.data.run import Run
 from nsde_torch.data.streams import ClockOf, StreamLog, moving
+from nsde_torch.data.system_info import changed
 from nsde_torch.data.ulog import open_ulog
 from nsde_torch.errors import ConfigError, DataError, NsdeError
+from nsde_torch.sysid.readings import better_readings, motor_orders
+from nsde_torch.sysid.rough import left_at, rough_fit
 from nsde_torch.systems.base import System
+from nsde_torch.systems.multirotor import Multirotor
 from nsde_torch.systems.options import SystemOptions, system_options
 from nsde_torch.threads import one_thread
+from nsde_torch.whole_files import finite
 
 _RUNS = 3  # that physics are looked at
 _PAUSES = 5.0  # steps that are a gap
+_SIGNS = "signs of the physics"
+_DOUBTS = ("constant_state", "same_runs")  # findings of reading that are mended before anything is trained
+REFUSED = "mend what reading refuses (`checks` above)"  # the remedy of a check that is a refusal
 
 
 @dataclass(frozen=True)
@@ -78,27 +87,10 @@ class Inspection:
 
     def content(self) -> dict[str, Any]:
         """What was found as plain containers for a JSON file; a number that is not finite is None."""
-
-        def plain(value: Any) -> Any:
-            return None if isinstance(value, float) and not math.isfinite(value) else value
-
         entries = () if self.mapping is None else self.mapping.columns.values()
-        return {
-            "path": self.path,
-            "kind": self.kind,
-            "runs": self.runs,
-            "system": self.system,
-            "usable": self.usable,
-            "doubts": self.doubts,
-            "native": self.native,
-            "mapping": self.yaml,
-            "mapped": sorted({name for entry in entries for name in entry.source}),
-            "columns": [{k: plain(v) for k, v in asdict(row).items()} for row in self.columns],
-            "missing": self.missing,
-            "open": self.open,
-            "notes": self.notes,
-            "checks": [asdict(check) for check in self.checks],
-        }
+        mapped = sorted({name for entry in entries for name in entry.source})
+        more = {"usable": self.usable, "doubts": self.doubts, "mapping": self.yaml, "mapped": mapped}
+        return finite({**asdict(self), **more})
 
     @property
     def yaml(self) -> str:
@@ -218,11 +210,9 @@ def _check(
     numbering = None if entry is None or said else entry.numbering or "px4"
     # beside a doubt, physics would find an interpretation that is a little better, and no cause
     fits = physics and not out.doubts
-    found = check_physics(machine, runs, numbering=numbering, fixed=fixed, fits=fits)
-    out.checks += found.checks
-    out.notes += found.notes
-    if found.numbering is not None and entry is not None:
-        out.mapping = out.mapping.changed("u", numbering=found.numbering)
+    found = _check_physics(out, machine, runs, numbering=numbering, fixed=fixed, fits=fits)
+    if found is not None:
+        out.mapping = out.mapping.changed("u", numbering=found)
         out.notes = [note for note in out.notes if "taken to be numbered" not in note]
 
 
@@ -244,10 +234,100 @@ def _native(path: Path, kind: str, machine: System | None, *, physics: bool) -> 
         return out
     out.checks = checks(machine, together(runs))
     if not out.refused:
-        found = check_physics(machine, runs[:_RUNS], fits=physics and not out.doubts)
-        out.checks += found.checks
-        out.notes += found.notes
+        _check_physics(out, machine, runs[:_RUNS], fits=physics and not out.doubts)
     return out
+
+
+def _check_physics(
+    out: Inspection,
+    machine: System,
+    runs: Sequence[RawRun],
+    *,
+    numbering: str | None = None,
+    fixed: bool = False,
+    fits: bool = True,
+) -> str | None:
+    """Read runs with all checks, fit the declared physics to means over 0.15 s, and look for better interpretations.
+
+    Args:
+        out: Takes checks and notes.
+        numbering: Whose numbers the motors are taken to have, where others are to be tried; None: they are said.
+        fixed: Whether a user said so: another is then reported, and not applied.
+        fits: Whether the physics is fitted.
+
+    Returns:
+        Whose numbers the motors have, where the physics speaks for another than was assumed.
+    """
+    try:
+        data = read(list(runs), system=changed(machine), state_smoothing="restore" if fits else "keep")
+    except NsdeError as error:
+        out.checks.append(LogCheck("checks of all data", False, str(error), REFUSED))
+        return None
+    said = (SUSPECT, "log")  # by a check, and by the notes of the log
+    for one in data.summary.findings:
+        if one.kind in _DOUBTS:
+            out.checks.append(LogCheck("what moves, and when", None, f"{one.message}.", one.message))
+        elif one.kind not in said:
+            out.notes.append(f"reading finds: {one}")
+    if not fits:
+        return None
+    clock, found, other = data.clock_scale, list(data.runs), None
+    if numbering is not None and isinstance(machine, Multirotor):
+        numbered = _numbered(machine, found, clock, numbering, fixed, out)
+        if numbered is None:
+            return None
+        found, other = numbered
+    rough = rough_fit(machine, found, clock)
+    better = None if rough is None else better_readings(machine, found, clock, rough)
+    if rough is None:
+        text = "the log is too short, or says too little, to fit the physics roughly."
+        check = LogCheck(_SIGNS, None, text, "record longer runs in which the machine moves")
+    elif better is not None:
+        check = LogCheck(_SIGNS, False, f"{better.sentence}: {better.remedy}.", better.remedy)
+    else:
+        left = ", ".join(f"{exp(c.share):.0%} of {c.name}" for c in left_at(rough, rough.theta))
+        text = "no other sign, order of the inputs or axes in which the declared physics leaves much less"
+        check = LogCheck(_SIGNS, True, f"{text}; it leaves {left}.")
+    out.checks.append(check)
+    return other
+
+
+def _numbered(
+    machine: Multirotor, runs: list[Run], clock: float, assumed: str, fixed: bool, out: Inspection
+) -> tuple[list[Run], str | None] | None:
+    """The runs with the motors numbered as their moments say surely, and whose numbers these are where not `assumed`.
+
+    None where a user said otherwise, which is a check that fails.
+    """
+    motors = machine.nu
+    back = np.argsort(order(assumed, motors))
+    places: dict[tuple[int, ...], str] = {}
+    for name, frames in NUMBERINGS.items():
+        if motors in frames:
+            places.setdefault(tuple(back[list(order(name, motors))].tolist()), name)
+    ranked = motor_orders(machine, runs, clock, list(places))
+    if not ranked:
+        return runs, None
+    best = ranked[0]
+    first, rival = places[best.places], next(o for o in ranked if o.places != best.places)
+    same = best.places == tuple(range(motors))
+    told = f"{best.nats - rival.nats:.0f} nats likelier than with {places[rival.places]}"
+    if not best.surely_better(rival):
+        out.notes.append(
+            f"moments of motors numbered as in {first} are no more than {told}: check the numbers"
+        )
+        return runs, None
+    if fixed and not same:
+        now = next(o for o in ranked if o.places == tuple(range(motors)))
+        text = f"moments of motors numbered as in {first} are {best.nats - now.nats:.0f} nats likelier."
+        remedy = f"write `numbering: {first}` in the entry of the motors"
+        out.checks.append(LogCheck("numbering of the motors", False, text, remedy))
+        return None
+    out.notes.append(f"motors are numbered as in {first}: their moments are {told}")
+    if same:
+        return runs, None
+    own = [*best.places, *range(motors, runs[0].u.shape[1])]
+    return [replace(run, u=run.u[:, own]) for run in runs], first
 
 
 def _px4_frame(log: StreamLog) -> str:

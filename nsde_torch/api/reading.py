@@ -1,30 +1,27 @@
 """Runs from wherever a user has them: a folder, a log, a simulation, arrays."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from math import exp
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
 
-from nsde_torch.data.mapping.apply import NUMBERINGS, order
-from nsde_torch.data.mapping.checks import SUSPECT, LogCheck
+from nsde_torch.data.mapping.checks import SUSPECT
 from nsde_torch.data.mapping.reader import format_of
 from nsde_torch.data.raw import Finding, RawRun
 from nsde_torch.data.readers import Kind, name_of
 from nsde_torch.data.run import DataSet, Run, Split, split
-from nsde_torch.data.system_info import SystemInfo, changed
-from nsde_torch.errors import ConfigError, DataError, NsdeError
+from nsde_torch.data.system_info import SystemInfo
+from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.recording.faults import remedies
 from nsde_torch.recording.reading import assemble
 from nsde_torch.recording.reading import read as read_kind
 from nsde_torch.simulation.generate import Simulation
-from nsde_torch.sysid.readings import better_readings, motor_orders
-from nsde_torch.sysid.rough import beginnings, left_at, rough_fit
+from nsde_torch.sysid.readings import better_readings
+from nsde_torch.sysid.rough import beginnings, rough_fit
 from nsde_torch.sysid.smoothed_states import undone_at_own_rate
 from nsde_torch.systems.base import System
-from nsde_torch.systems.multirotor import Multirotor
 from nsde_torch.systems.options import SystemOptions, system_options
 from nsde_torch.threads import one_thread
 
@@ -96,40 +93,34 @@ def read(
     machine: SystemInfo = (
         system_options(system).make() if isinstance(system, str | type | SystemOptions) else system
     )
-    given = {"dt": dt, "own_rate": True, "gap": gap, "clock": clock, "derived_rates": derived_rates, **faults}
-    given |= {"most_rows": most_rows}
-    found = _assembled(data, machine, kind, options or {}, given)
+    given = {"dt": dt, "own_rate": True, "gap": gap, "clock": clock, "derived_rates": derived_rates}
     found = undone_at_own_rate(
-        found,
+        _assembled(data, machine, kind, options or {}, {**given, "most_rows": most_rows, **faults}),
         machine,
         dt=dt,
         stream_offsets=stream_offsets,
         state_smoothing=state_smoothing,
         taken_out=[name for name, value in faults.items() if value],
     )
-    return columns_checked(machine, found) if isinstance(data, str | Path) else found
+    return _columns_checked(machine, found) if isinstance(data, str | Path) else found
 
 
-def columns_checked(machine: SystemInfo, found: DataSet) -> DataSet:
-    """Runs of files with what their summary says of columns that the physics of the machine contradicts."""
+def _columns_checked(machine: SystemInfo, found: DataSet) -> DataSet:
+    """Runs of files; another sign, order or frame in which the declared physics leaves much less is in the summary."""
     # beside columns that kinematics speak against, physics would find what does a little better, and no cause
     suspect = any(one.kind == SUSPECT for one in found.summary.findings)
     if not isinstance(machine, System) or suspect:
         return found
-    more = (*found.summary.findings, *_columns_otherwise(machine, found))
-    return replace(found, summary=replace(found.summary, findings=more))
-
-
-def _columns_otherwise(machine: System, data: DataSet) -> list[Finding]:
-    """Another sign, order or frame of the columns in which the declared physics leaves much less, if there is one."""
-    some = beginnings(data.runs, data.clock_scale, seconds=_PHYSICS_S, fewest=50)
+    some = beginnings(found.runs, found.clock_scale, seconds=_PHYSICS_S, fewest=50)
     try:
-        rough = rough_fit(machine, some, data.clock_scale)
-        better = None if rough is None else better_readings(machine, some, data.clock_scale, rough)
+        rough = rough_fit(machine, some, found.clock_scale)
+        better = None if rough is None else better_readings(machine, some, found.clock_scale, rough)
     except (np.linalg.LinAlgError, ValueError):  # runs in which nothing moves say nothing of the columns
-        return []
-    text = better and f"{better.sentence}: {better.remedy}"
-    return [Finding("reading", "", 1, text, "reported")] if text else []
+        return found
+    if not better:
+        return found
+    said = Finding("reading", "", 1, f"{better.sentence}: {better.remedy}", "reported")
+    return replace(found, summary=replace(found.summary, findings=(*found.summary.findings, said)))
 
 
 def _assembled(
@@ -172,104 +163,3 @@ def runs_named(data: DataSet, names: Sequence[int | str | Run] | None) -> list[R
     if names is None:
         return list(data.runs)
     return [name if isinstance(name, Run) else data[name] for name in names]
-
-
-_NAME = "signs of the physics"
-_DOUBTS = ("constant_state", "same_runs")  # findings of reading that are mended before anything is trained
-REFUSED = "mend what reading refuses (`checks` above)"  # the remedy of a check that is a refusal
-
-
-@dataclass
-class PhysicsFound:
-    """What the physics says."""
-
-    checks: list[LogCheck] = field(default_factory=list)  # in words
-    notes: list[str] = field(default_factory=list)  # what was assumed or found
-    numbering: str | None = None
-    """Whose numbers the motors have, where the physics speaks for another than was assumed."""
-
-
-@one_thread()
-def check_physics(
-    machine: System,
-    runs: Sequence[RawRun],
-    *,
-    numbering: str | None = None,
-    fixed: bool = False,
-    fits: bool = True,
-) -> PhysicsFound:
-    """Read runs with all checks, fit the declared physics to means over 0.15 s, and look for better interpretations.
-
-    Args:
-        numbering: Whose numbers the motors are taken to have, where others are to be tried; None: they are said.
-        fixed: Whether a user said so: another is then reported, and not applied.
-        fits: Whether the physics is fitted.
-    """
-    out = PhysicsFound()
-    try:
-        data = read(list(runs), system=changed(machine), state_smoothing="restore" if fits else "keep")
-    except NsdeError as error:
-        out.checks.append(LogCheck("checks of all data", False, str(error), REFUSED))
-        return out
-    said = (SUSPECT, "log")  # by a check, and by the notes of the log
-    for one in data.summary.findings:
-        if one.kind in _DOUBTS:
-            out.checks.append(LogCheck("what moves, and when", None, f"{one.message}.", one.message))
-        elif one.kind not in said:
-            out.notes.append(f"reading finds: {one}")
-    if not fits:
-        return out
-    clock, found = data.clock_scale, list(data.runs)
-    if numbering is not None and isinstance(machine, Multirotor):
-        found = _numbered(machine, found, clock, numbering, fixed, out)
-        if out.checks:
-            return out
-    rough = rough_fit(machine, found, clock)
-    if rough is None:
-        text = "the log is too short, or says too little, to fit the physics roughly."
-        out.checks.append(LogCheck(_NAME, None, text, "record longer runs in which the machine moves"))
-        return out
-    better = better_readings(machine, found, clock, rough)
-    if better is not None:
-        out.checks.append(LogCheck(_NAME, False, f"{better.sentence}: {better.remedy}.", better.remedy))
-    else:
-        left = ", ".join(f"{exp(c.share):.0%} of {c.name}" for c in left_at(rough, rough.theta))
-        text = "no other sign, order of the inputs or axes in which the declared physics leaves much less"
-        out.checks.append(LogCheck(_NAME, True, f"{text}; it leaves {left}."))
-    return out
-
-
-def _numbered(
-    machine: Multirotor, runs: list[Run], clock: float, assumed: str, fixed: bool, out: PhysicsFound
-) -> list[Run]:
-    """The runs with the motors numbered as their moments say, where they say it surely."""
-    motors = machine.nu
-    back = np.argsort(order(assumed, motors))
-    places: dict[tuple[int, ...], str] = {}
-    for name, frames in NUMBERINGS.items():
-        if motors in frames:
-            places.setdefault(tuple(back[list(order(name, motors))].tolist()), name)
-    ranked = motor_orders(machine, runs, clock, list(places))
-    if not ranked:
-        return runs
-    best = ranked[0]
-    first, rival = places[best.places], next(o for o in ranked if o.places != best.places)
-    same = best.places == tuple(range(motors))
-    told = f"{best.nats - rival.nats:.0f} nats likelier than with {places[rival.places]}"
-    if not best.surely_better(rival):
-        out.notes.append(
-            f"moments of motors numbered as in {first} are no more than {told}: check the numbers"
-        )
-        return runs
-    if fixed and not same:
-        now = next(o for o in ranked if o.places == tuple(range(motors)))
-        text = f"moments of motors numbered as in {first} are {best.nats - now.nats:.0f} nats likelier."
-        remedy = f"write `numbering: {first}` in the entry of the motors"
-        out.checks.append(LogCheck("numbering of the motors", False, text, remedy))
-        return runs
-    out.notes.append(f"motors are numbered as in {first}: their moments are {told}")
-    if same:
-        return runs
-    out.numbering = first
-    own = [*best.places, *range(motors, runs[0].u.shape[1])]
-    return [replace(run, u=run.u[:, own]) for run in runs]

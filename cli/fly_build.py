@@ -14,6 +14,7 @@ from nsde_torch.control.loop import DECLARED, knowledge, system_of
 from nsde_torch.control.reference import FlightPath, Reference
 from nsde_torch.effects import files
 from nsde_torch.errors import ConfigError
+from nsde_torch.export.exported import ExportedController
 from nsde_torch.px4 import SetpointLimits
 from nsde_torch.px4.flight.cascade import CascadeController, PathPoints
 from nsde_torch.px4.flight.controller import Inline, Process, Runner
@@ -49,7 +50,7 @@ def known(config: DictConfig) -> Model | System:
         )
     run = DECLARED if config.run == track_build.PID else config.run
     if track_build.is_exported(run):
-        file = track_build.exported(run)
+        file = ExportedController(run)
         track_build.agreed(file, config.mpc)
         check_uncovered(file.known)
         return file.known

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from omegaconf import DictConfig, OmegaConf
@@ -19,7 +19,7 @@ from nsde_torch.control.autopilots import (
     PredictivePilot,
 )
 from nsde_torch.control.controller import Controller, Planner, SafetyOptions
-from nsde_torch.control.loop import DECLARED, system_of
+from nsde_torch.control.loop import DECLARED, SteppedMachine, system_of
 from nsde_torch.control.loop import knowledge as knowledge_of
 from nsde_torch.control.predictor import Predictor
 from nsde_torch.control.problem import ProblemOptions, problem_of
@@ -27,6 +27,7 @@ from nsde_torch.control.reference import FlightPath, Reference, StateReference, 
 from nsde_torch.control.shapes import from_csv, waypoints
 from nsde_torch.control.solve import SolverOptions
 from nsde_torch.errors import ConfigError
+from nsde_torch.export.exported import ExportedController
 from nsde_torch.models import Model
 from nsde_torch.models.run_directory import load
 from nsde_torch.simulation import make_plant
@@ -36,10 +37,6 @@ from nsde_torch.systems.machines import machine
 
 from . import build
 from .own_modules import see_own_modules
-
-if TYPE_CHECKING:
-    from nsde_torch.control.loop import SteppedMachine
-    from nsde_torch.export.exported import ExportedController
 
 Say = Callable[[str], None]
 PID = "pid"
@@ -91,7 +88,7 @@ _LAGS = {"motor_lag", "actuator_lag", "asymmetric_lag", "input_delay"}
 def knowledge(name: str, config: DictConfig, beside: Model | System | None = None) -> Model | System:
     """What `run=` names: a model, or the declared physics of the plant, whose machine may be that of `beside`."""
     if is_exported(name):
-        return exported(name).known
+        return ExportedController(name).known
     machine_name = config.system or (beside.spec.system if isinstance(beside, Model) else None)
     if name == DECLARED and machine_name is None:
         raise ConfigError("`run=declared` needs the machine: plant=hexacopter or plant.system=NAME.")
@@ -183,7 +180,7 @@ def autopilot(
     if is_exported(name):
         if batch != 1:
             raise ConfigError(f"a file flies one machine at a time; got at_once={batch}. Take at_once=1.")
-        controller = file = exported(name)
+        controller = file = ExportedController(name)
         agreed(file, mpc)
         foresight = file.sample
     else:
@@ -219,13 +216,6 @@ def latency(config: DictConfig, known: Model | System) -> float:
 def is_exported(name: str) -> bool:
     """Whether a name in the place of a run directory is a file that `nsde export` wrote."""
     return Path(name).is_file()
-
-
-def exported(name: str) -> ExportedController:
-    """The controller in a file; ExportError where that is damaged, changed or of another version."""
-    from nsde_torch.export.exported import ExportedController
-
-    return ExportedController(name)
 
 
 def agreed(file: ExportedController, mpc: DictConfig) -> None:

@@ -61,14 +61,12 @@ def _log_first(words: Sequence[str]) -> list[str]:
     out, logs = [], []
     for before, word in zip(("", *words), words, strict=False):
         name, equals, value = word.partition("=")
+        follows = before in {*WITH_VALUE, *WITH_VALUE.values()}
+        typed = equals and name.split(".")[0] in InspectConfig.__dataclass_fields__
         if name in ("log", "data.path") and equals:
             logs.append(value)
-        elif before in {*WITH_VALUE, *WITH_VALUE.values()} or (
-            word.startswith("-") and not Path(word).exists()
-        ):
+        elif follows or typed or ((equals or word.startswith("-")) and not Path(word).exists()):
             out += [word] if word != "--" else []
-        elif equals and (name.split(".")[0] in InspectConfig.__dataclass_fields__ or not Path(word).exists()):
-            out.append(word)
         elif word:
             logs.append(word)
     if len(logs) > 1:
@@ -115,7 +113,8 @@ def run(config: Config, job: Job) -> None:
         )
     named, mapping = None if machine.name == UNNAMED else machine, config.mapping or there
     found = inspect(path, system=named, kind=config.kind, mapping=mapping, physics=config.physics)
-    print(report(found, everything=config.columns == "all"))
+    table = "\n".join(_table(found, everything=config.columns == "all"))
+    print(rendered(TEXTS, "inspection.txt", found=found, table=table))
     if config.json is not None:
         _save(Path(config.json), json.dumps(found.content(), indent=1, allow_nan=False) + "\n", "json")
     if found.mapping is not None and config.mapping is None and target is not None:
@@ -167,12 +166,6 @@ def _save(target: Path, text: str, key: str) -> None:
         raise ConfigError(
             f"`{key}`: {target} cannot be written ({error.strerror}); name another file, {key}=FILE."
         ) from error
-
-
-def report(found: Inspection, *, everything: bool = False) -> str:
-    """What was found, as text."""
-    table = "\n".join(_table(found, everything=everything))
-    return rendered(TEXTS, "inspection.txt", found=found, table=table)
 
 
 def _table(found: Inspection, *, everything: bool) -> list[str]:

@@ -12,7 +12,7 @@ from nsde_torch.diagnosis.pipeline import diagnose as diagnose_runs
 from nsde_torch.diagnosis.result import Diagnosis
 from nsde_torch.diagnosis.stages import StoppedError, read_begun
 from nsde_torch.models.identified import SysidSpec
-from nsde_torch.progress import Say, Stages, silent
+from nsde_torch.progress import Say, Stages, reported
 from nsde_torch.recording.times import no_finer
 from nsde_torch.systems.base import System
 from nsde_torch.systems.options import Effects, SystemOptions, system_options
@@ -122,21 +122,17 @@ def diagnose(
     )
     names = [run.name for run in looked_at]
     begun = None if resume is None else read_begun(resume, runs, names, spec)
-    printed = Stages() if say is None else None
+    with reported(say) as told:
+        stages = told if isinstance(told, Stages) else None
 
-    def known(found: Diagnosis) -> None:
-        if printed is not None and found.so_far is not None:
-            printed.known(found.in_short, found.so_far.left_s)
-        so_far(found)
+        def known(found: Diagnosis) -> None:
+            if stages is not None and found.so_far is not None:
+                stages.known(found.in_short, found.so_far.left_s)
+            so_far(found)
 
-    try:
-        return diagnose_runs(
-            machine, spec, runs, looked_at, options, begun=begun, say=printed or say or silent, so_far=known
-        )
-    except StoppedError as stop:
-        if printed is not None:
-            printed("stopped, with what is known so far", 1, 1)
-        return stop.found
-    finally:
-        if printed is not None:
-            printed.close()
+        try:
+            return diagnose_runs(machine, spec, runs, looked_at, options, begun=begun, say=told, so_far=known)
+        except StoppedError as stop:
+            if stages is not None:
+                stages("stopped, with what is known so far", 1, 1)
+            return stop.found

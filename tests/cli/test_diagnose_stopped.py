@@ -10,8 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from nsde_torch import time_limit
-from nsde_torch.api import diagnosing
+from nsde_torch import progress, time_limit
 from nsde_torch.cli.exit_status import INTERRUPTED, OK, USER_ERROR
 from nsde_torch.cli.main import main
 from nsde_torch.diagnosis.files import EFFECTS, REPORT, RESULT
@@ -42,7 +41,7 @@ def test_ctrl_c_writes_and_prints_what_is_known(
                 raise KeyboardInterrupt
             super().__call__(stage, done, total)
 
-    monkeypatch.setattr(diagnosing, "Stages", Interrupted)
+    monkeypatch.setattr(progress, "Stages", Interrupted)
     out = tmp_path / "out"
     assert main([*words, f"candidates=[{FRICTION}]", f"out_dir={out}"]) == INTERRUPTED
     said = capsys.readouterr()

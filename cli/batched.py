@@ -9,10 +9,12 @@ import multiprocessing
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 from hydra.core.plugins import Plugins
 from hydra.core.utils import JobReturn, configure_log, filter_overrides, run_job, setup_globals
@@ -26,7 +28,7 @@ log = logging.getLogger(__name__)
 
 
 class Batched(Launcher):
-    """See above; `n_jobs` at a time (0: one for each core), one by one where none can be forked (Windows)."""
+    """See above; `n_jobs` at a time (0: one for each core)."""
 
     __module__ = "hydra_plugins.nsde_torch"  # see `register`
 
@@ -44,38 +46,30 @@ class Batched(Launcher):
         Path(str(self.config.hydra.sweep.dir)).mkdir(parents=True, exist_ok=True)
         jobs = [(initial_job_idx + k, list(words)) for k, words in enumerate(job_overrides)]
         with remembering():
-            done = [self._run(*job) for job in jobs[:1]]
-            if self.n_jobs > 1 and "fork" in multiprocessing.get_all_start_methods():
-                done += self._forked(jobs[1:])
-            else:
-                done += [self._run(*job) for job in jobs[1:]]
+            done = [*(self._run(*job) for job in jobs[:1]), *self._forked(jobs[1:])]
         configure_log(self.config.hydra.hydra_logging, self.config.hydra.verbose)
         return done
 
     def _forked(self, jobs: Sequence[tuple[int, list[str]]]) -> list[JobReturn]:
         """The same in processes forked from this one. A pool forks from a thread of its own, and may stop for ever."""
         context, waiting = multiprocessing.get_context("fork"), list(jobs)
-        running: dict[Connection, int] = {}
-        processes: dict[int, BaseProcess] = {}
+        running: dict[Any, tuple[int, BaseProcess]] = {}  # by the connection that the result comes from
         done: dict[int, JobReturn] = {}
         while waiting or running:
             while waiting and len(running) < self.n_jobs:
                 number, words = waiting.pop(0)
                 ours, theirs = context.Pipe(duplex=False)
-                process = context.Process(target=self._sent, args=(theirs, number, words))
+                process: BaseProcess = context.Process(target=self._sent, args=(theirs, number, words))
                 process.start()
                 theirs.close()
-                running[ours], processes[number] = number, process
+                running[ours] = number, process
             for ready in wait(list(running)):
-                assert isinstance(ready, Connection)
-                number = running.pop(ready)
-                try:
+                number, process = running.pop(ready)
+                with suppress(EOFError):
                     done[number] = ready.recv()
-                except EOFError:
-                    processes[number].join()
-                    status = processes[number].exitcode
-                    raise RuntimeError(f"job {number} ended with exit status {status}.") from None
-                processes[number].join()
+                process.join()
+                if number not in done:
+                    raise RuntimeError(f"job {number} ended with exit status {process.exitcode}.")
         return [done[number] for number, _ in jobs]
 
     def _sent(self, to: Connection, number: int, words: list[str]) -> None:

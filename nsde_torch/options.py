@@ -52,9 +52,8 @@ def key(
         high: Largest value allowed.
         file: Whether the value names a file or folder (or several, or may do so).
     """
-    metadata = {"help": help, "unit": unit, "choices": choices, "low": low, "above": above, "high": high}
-    metadata["file"] = file
-    return declared(default, metadata)
+    limits = {"choices": choices, "low": low, "above": above, "high": high}
+    return declared(default, {"help": help, "unit": unit, **limits, "file": file})
 
 
 def declared(default: Any, metadata: Mapping[str, Any]) -> Any:
@@ -66,7 +65,7 @@ def declared(default: Any, metadata: Mapping[str, Any]) -> Any:
 
 @dataclass(frozen=True)
 class Key:
-    """One key as `--help` shows it; `owner` is the dataclass that declares it."""
+    """One key as `--help` shows it."""
 
     path: str
     annotation: str
@@ -78,7 +77,6 @@ class Key:
     above: float | None
     high: float | None
     file: bool
-    owner: type
 
     @property
     def allowed(self) -> str:
@@ -113,9 +111,7 @@ def walk(schema: type, prefix: str = "") -> Iterator[Key]:
             continue
         if "help" not in field.metadata:
             raise AssertionError(f"{schema.__name__}.{field.name} has no help: declare it with `key(...)`")
-        yield Key(
-            path=path, annotation=str(field.type), default=default_of(field), owner=schema, **field.metadata
-        )
+        yield Key(path=path, annotation=str(field.type), default=default_of(field), **field.metadata)
 
 
 def check(schema: type, values: Mapping[str, Any], prefix: str = "") -> None:

@@ -1,7 +1,7 @@
 """A limit of time for long work, noticed where one of its steps ends.
 
-    with TimeLimit(600.0) as limit:       # seconds
-        ...                               # `check_time()` in loops of this work, however deep: TimeUpError past the end
+    with TimeLimit(600.0, still):  # seconds
+        ...                        # `check_time()` in loops of this work, however deep: TimeUpError past the end
 
 It needs no signal and no other thread, so that it holds in any thread and nothing is cut in the middle of a step.
 """
@@ -9,7 +9,7 @@ It needs no signal and no other thread, so that it holds in any thread and nothi
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextvars import ContextVar, Token
+from contextvars import ContextVar
 from math import inf
 from time import perf_counter
 from typing import final
@@ -34,10 +34,9 @@ class TimeLimit:
         holds: Whether it ends anything yet; what is needed for any answer may take longer.
     """
 
-    def __init__(self, seconds: float | None, still: Callable[[], None] | None = None) -> None:
+    def __init__(self, seconds: float | None, still: Callable[[], None]) -> None:
         self._ends = inf if seconds is None else perf_counter() + seconds
         self._still, self._said = still, perf_counter()
-        self._before: list[Token[TimeLimit | None]] = []
         self.holds = True
 
     @property
@@ -45,19 +44,20 @@ class TimeLimit:
         """Time that is left [s]; infinite without a limit."""
         return self._ends - perf_counter()
 
-    def alive(self) -> None:
-        """Say that the work goes on, where it has not been said for a while."""
+    def look(self) -> None:
+        """Go on, and say so where that has not been said for a while, unless the time is up (see `check_time`)."""
         now = perf_counter()
-        if self._still is not None and now - self._said > ALIVE_S:
+        if self.holds and now > self._ends:
+            raise TimeUpError
+        if now - self._said > ALIVE_S:
             self._said = now
             self._still()
 
-    def __enter__(self) -> TimeLimit:
-        self._before.append(_LIMIT.set(self))
-        return self
+    def __enter__(self) -> None:
+        self._before = _LIMIT.set(self)
 
     def __exit__(self, *_: object) -> None:
-        _LIMIT.reset(self._before.pop())
+        _LIMIT.reset(self._before)
 
 
 _LIMIT: ContextVar[TimeLimit | None] = ContextVar("limit", default=None)
@@ -69,9 +69,5 @@ def check_time() -> None:
     Raises:
         TimeUpError: it is.
     """
-    limit = _LIMIT.get()
-    if limit is None:
-        return
-    if limit.holds and limit.left_s < 0.0:
-        raise TimeUpError
-    limit.alive()
+    if (limit := _LIMIT.get()) is not None:
+        limit.look()

@@ -244,46 +244,45 @@ def _resumed(words: Sequence[str]) -> Path | None:
 def _reader_chosen(words: list[str], command: str) -> list[str]:
     """The words with `data=log` where a path is named and no reader: then the names of the files decide the format."""
     typed = [word.partition("=")[0].lstrip("+") for word in words]
-    if "data" not in groups.defaults(command) or _resumed(words) is not None:
-        return words
-    if "data.path" not in typed or "data" in typed:
-        return words
-    return ["data=log", *words]
+    open_ = "data" in groups.defaults(command) and _resumed(words) is None
+    return ["data=log", *words] if open_ and "data.path" in typed and "data" not in typed else words
 
 
 def _check_folders(words: Sequence[str]) -> None:
     """Refuse folders that no key of the command names, or that hold a run, before Hydra touches them."""
-    results = [command.result for command in hydra_commands().values() if command.result is not None]
     for word in words:
         key, _, value = word.lstrip("+").partition("=")
         folder = Path(typed_path(value))
-        if key in _HYDRA_FOLDERS:
-            raise ConfigError(
-                f"`{key}` is set by the command: name the folder with {_HYDRA_FOLDERS[key]}=..."
-            )
-        if key in _HYDRA_GROUPS:
-            raise ConfigError(f"`{key}` is set key by key: {key}.KEY=VALUE; got {value!r}.")
-        if key in _HYDRA_NAMES and (folder.is_absolute() or ".." in folder.parts):
-            raise ConfigError(
-                f"`{key}` must be a name in the folder of the run, without `..`; got {value!r}."
-            )
-        if key in ("run_dir", "sweep_dir", "out_dir") and not value.strip("'\""):
-            raise ConfigError(f"`{key}` is empty; name a folder.")
-        # a run that failed before it did any work (a wrong key, a missing file) has nothing to keep or continue
-        if (
-            key == "run_dir"
-            and (folder / ".hydra").is_dir()
-            and not ((folder / "failed.json").is_file() and _holds_no_work(folder))
-        ):
-            raise ConfigError(
-                f"`run_dir={folder}` holds a run already. Continue it with {as_typed(paths={'resume': folder})}, or "
-                "name another."
-            )
-        for file, called in results if key == "out_dir" else ():
-            if (folder / file).is_file():
-                raise ConfigError(f"`out_dir={folder}` holds {called} already; name another folder.")
-        if key == "sweep_dir" and (folder / "multirun.yaml").is_file():
-            raise ConfigError(f"`sweep_dir={folder}` holds a sweep already; name another folder.")
+        if wrong := _wrong_with(key, value, folder):
+            raise ConfigError(f"`{key}` {wrong}")
+        if held := _held(key, folder):
+            raise ConfigError(f"`{key}={folder}` holds {held}")
+
+
+def _wrong_with(key: str, value: str, folder: Path) -> str:
+    if key in _HYDRA_FOLDERS:
+        return f"is set by the command: name the folder with {_HYDRA_FOLDERS[key]}=..."
+    if key in _HYDRA_GROUPS:
+        return f"is set key by key: {key}.KEY=VALUE; got {value!r}."
+    if key in _HYDRA_NAMES and (folder.is_absolute() or ".." in folder.parts):
+        return f"must be a name in the folder of the run, without `..`; got {value!r}."
+    nameless = key in ("run_dir", "sweep_dir", "out_dir") and not value.strip("'\"")
+    return "is empty; name a folder." if nameless else ""
+
+
+def _held(key: str, folder: Path) -> str:
+    """What a folder holds that would be written over."""
+    # a run that failed before it did any work (a wrong key, a missing file) has nothing to keep or continue
+    if key == "run_dir" and (folder / ".hydra").is_dir():
+        failed = (folder / "failed.json").is_file() and _holds_no_work(folder)
+        more = f"Continue it with {as_typed(paths={'resume': folder})}, or name another."
+        return "" if failed else f"a run already. {more}"
+    if key == "out_dir":
+        results = [command.result for command in hydra_commands().values() if command.result]
+        held = next((called for file, called in results if (folder / file).is_file()), None)
+        return f"{held} already; name another folder." if held else ""
+    swept = key == "sweep_dir" and (folder / "multirun.yaml").is_file()
+    return "a sweep already; name another folder." if swept else ""
 
 
 def _holds_no_work(folder: Path) -> bool:

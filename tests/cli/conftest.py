@@ -1,9 +1,6 @@
-"""Running `nsde` in this process and in one of its own."""
+"""Running `nsde` in this process."""
 
-import os
-import subprocess
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -11,21 +8,6 @@ import torch
 
 from nsde_torch.cli.main import main
 from tests.helpers.commands import Said
-
-Nsde = Callable[..., subprocess.CompletedProcess[str]]
-
-
-@pytest.fixture
-def nsde(tmp_path: Path) -> Nsde:
-    """Run `nsde WORDS` in an empty folder, as a process of its own."""
-
-    def run(*words: str, **env: str) -> subprocess.CompletedProcess[str]:
-        return subprocess.run(
-            [sys.executable, "-m", "nsde_torch.cli", *words], capture_output=True, text=True, cwd=tmp_path,
-            env={**os.environ, **env}, timeout=120, check=False,
-        )  # fmt: skip
-
-    return run
 
 
 @pytest.fixture(autouse=True)

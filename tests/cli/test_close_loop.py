@@ -37,26 +37,36 @@ def told(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     return known
 
 
-def _diagnosed(effects: dict[str, Any], folder: Path = Path("out/diagnosis")) -> None:
-    """A diagnosis as an earlier start of the command left it."""
-    folder.mkdir(parents=True)
+DRAG = {"linear_drag": {"drag": [0.5, 0.5, 0.1]}}
+
+
+def diagnosis(folder: Path = Path("out/diagnosis"), effects: dict[str, Any] = DRAG, **changed: Any) -> None:
+    """A diagnosis of the hovering flight as an earlier start left it, which says which drag cannot be told."""
+    folder.mkdir(parents=True, exist_ok=True)
     files.write(folder / "effects.yaml", "quadrotor", effects, "found")
-    findings = [{"sentence": f"There is {name}."} for name in effects]
-    content = {"verdict": "effect_found" if effects else "no_effect", "findings": findings}
-    (folder / "diagnosis.json").write_text(json.dumps(content))
+    content: dict[str, Any] = {
+        "verdict": "effect_found",
+        "findings": [
+            {"name": n, "kind": "effect", "sentence": f"There is {n}.", "lead": False} for n in effects
+        ],
+        "ties": [{"effects": ["linear_drag", "quadratic_drag"], "experiment": ""}],
+        "data": {"runs": ["flight_0"], "clock_scale": 1.0},
+        **{"not_shown": [], "ranking": [], "parameters": {}, "warnings": []},
+    }
+    (folder / "diagnosis.json").write_text(json.dumps(content | changed))
 
 
 def test_flights_before_and_after_are_compared_and_nothing_finished_is_done_again(
     told: list[Any], monkeypatch: pytest.MonkeyPatch, refused: Said, shown: Said
 ) -> None:
-    _diagnosed({"motor_lag": {"time_constant": 0.05}, "linear_drag": {"drag": [0.5, 0.5, 0.1]}})
+    diagnosis(effects={"motor_lag": {"time_constant": 0.05}, **DRAG})
     printed = shown("close-loop", *SHORT)
     assert "The controller now has: linear_drag." in printed
     assert "better in" in printed
     # a lag is what `delay` stands for
-    assert told == [[], [], [{"linear_drag": {"drag": [0.5, 0.5, 0.1]}}]]
+    assert told == [[], [], [DRAG]]
     content = json.loads(Path("out/close_loop.json").read_text())
-    assert content["told"] == [{"linear_drag": {"drag": [0.5, 0.5, 0.1]}}]
+    assert content["told"] == [DRAG]
     (pair,) = content["rmse_m"]
     assert 0.0 < pair["before_m"] < 0.2
     assert 0.0 < pair["after_m"] < 0.2
@@ -88,31 +98,17 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(designing, "CONFIRMED", 1)
 
 
-def _open(folder: Path = Path("out/diagnosis"), **changed: Any) -> None:
-    """A diagnosis of the hovering flight that says which drag cannot be told."""
-    _diagnosed({"linear_drag": {"drag": [0.5, 0.5, 0.1]}}, folder)
-    finding = {"name": "linear_drag", "kind": "effect", "sentence": "There is drag.", "lead": False}
-    content = {
-        **{
-            "verdict": "effect_found", "findings": [finding], "not_shown": [], "ranking": [], "parameters": {},
-        },
-        "ties": [{"effects": ["linear_drag", "quadratic_drag"], "experiment": ""}],
-        "data": {"runs": ["flight_0"], "clock_scale": 1.0},
-    }  # fmt: skip
-    (folder / "diagnosis.json").write_text(json.dumps(content | changed))
-
-
 @pytest.mark.usefixtures("few")
 @pytest.mark.slow
 def test_a_tie_is_asked_of_an_experiment_and_the_record_has_nats_expected_and_obtained(
     told: list[Any], monkeypatch: pytest.MonkeyPatch, shown: Said
 ) -> None:
-    _open()
+    diagnosis()
 
     def settled(logs: Path, out: Path, *arguments: Any, **options: Any) -> None:
         """The diagnosis of all logs, which takes longer than all else: no tie is left."""
         if not out.exists():
-            _open(out, ties=[], warnings=[], data={"runs": sorted(log.stem for log in logs.glob("*.csv"))})
+            diagnosis(out, ties=[], data={"runs": sorted(log.stem for log in logs.glob("*.csv"))})
 
     monkeypatch.setattr(closed_loop, "diagnose_logs", settled)
     monkeypatch.setattr(designing, "FINALISTS", 1)
@@ -155,7 +151,7 @@ def test_by_hand_it_says_what_to_fly_and_goes_on_with_the_log(refused: Said, sho
     (log,) = Path("flown").glob("*.csv")
     log.rename("out/log/flight_0.csv")
     drag = {"value": 0.5, "interval_90": [0.0, 1.0], "unit": "1/s"}
-    _open(ties=[], parameters={"linear_drag.drag[0]": drag})
+    diagnosis(ties=[], parameters={"linear_drag.drag[0]": drag})
     assert "as experiment_1.csv or experiment_1.ulg" in shown("close-loop", *hand)
     content = json.loads(Path("out/close_loop.json").read_text())
     assert content["stopped"]["kind"] == "waiting"

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -12,7 +13,6 @@ from nsde_torch.cli import closed_loop, fly_build
 from nsde_torch.cli.main import main
 from nsde_torch.control.shapes import waypoints
 from nsde_torch.design.experiment import write_plan
-from nsde_torch.effects import files
 from nsde_torch.px4.flight.cascade import CascadeController, PathPoints
 from nsde_torch.px4.flight.controller import Inline
 from nsde_torch.px4.flight.safety import Phase
@@ -21,6 +21,7 @@ from nsde_torch.px4.link import dialect as d
 from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
 from nsde_torch.px4.simulator.body import Body
 from nsde_torch.px4.simulator.simulated import VirtualLink
+from tests.cli.test_close_loop import diagnosis
 from tests.helpers.commands import Said
 
 pytestmark = pytest.mark.usefixtures("elsewhere")
@@ -64,7 +65,9 @@ def flights(monkeypatch: pytest.MonkeyPatch) -> Flights:
 
     def diagnosed(logs: Path, out: Path, *given: Any, **settings: Any) -> None:
         if not (out / "diagnosis.json").is_file():
-            _diagnosis(out, tied=out.parent.name == "out", runs=[p.stem for p in sorted(logs.glob("*.csv"))])
+            runs = [p.stem for p in sorted(logs.glob("*.csv"))]
+            settled: dict[str, Any] = {} if out.parent.name == "out" else {"ties": []}
+            diagnosis(out, data={"runs": runs, "clock_scale": 1.0}, **settled)
 
     monkeypatch.setattr(links, "open_link", opened)
     monkeypatch.setattr(closed_loop, "fly_vehicle", flown)
@@ -72,31 +75,10 @@ def flights(monkeypatch: pytest.MonkeyPatch) -> Flights:
         fly_build, "Process", lambda maker, **more: Inline(CascadeController(PathPoints(maker.path)))
     )
     monkeypatch.setattr(closed_loop, "diagnose_logs", diagnosed)
-    monkeypatch.setattr(closed_loop, "obtained", lambda *given, **more: Obtained())
+    told = {"speaks_for": "linear_drag", "broken": True, "expected_nats": 8.0, "doubt": None}
+    told["nats"] = {"linear_drag": 9.0, "quadratic_drag": -9.0}
+    monkeypatch.setattr(closed_loop, "obtained", lambda **given: SimpleNamespace(content=lambda: told))
     return made
-
-
-class Obtained:
-    """What an experiment told, as if it had been looked at."""
-
-    def content(self) -> dict[str, Any]:
-        nats = {"linear_drag": 9.0, "quadratic_drag": -9.0}
-        return {
-            **{"nats": nats, "speaks_for": "linear_drag", "broken": True},
-            **{"expected_nats": 8.0, "doubt": None},
-        }
-
-
-def _diagnosis(out: Path, *, tied: bool, runs: list[str]) -> None:
-    out.mkdir(parents=True, exist_ok=True)
-    files.write(out / "effects.yaml", "quadrotor", {"linear_drag": {"drag": [0.5, 0.5, 0.1]}}, "found")
-    finding = {"name": "linear_drag", "kind": "effect", "sentence": "There is drag.", "lead": False}
-    content = {
-        **{"verdict": "effect_found", "findings": [finding], "not_shown": [], "ranking": []},
-        **{"parameters": {}, "warnings": [], "data": {"runs": runs, "clock_scale": 1.0}},
-        "ties": [{"effects": NAMES, "experiment": ""}] if tied else [],
-    }
-    (out / "diagnosis.json").write_text(json.dumps(content))
 
 
 def _plan() -> None:

@@ -13,7 +13,7 @@ from nsde_torch.cli import groups
 from nsde_torch.cli.commands.completion import SHELLS, query
 from nsde_torch.cli.help import WIDTH, describe
 from nsde_torch.cli.main import unknown_command
-from nsde_torch.cli.registry import all_commands, hydra_command, hydra_commands
+from nsde_torch.cli.registry import all_commands, hydra_commands
 from tests.helpers.commands import Said, own_machine
 
 
@@ -33,12 +33,11 @@ def test_an_unknown_command_suggests_the_nearest_and_an_unknown_shell_is_refused
     assert "Did you mean `nsde evaluate`?" in unknown_command("eval")
 
 
-def test_help_starts_within_three_tenths_of_a_second(nsde) -> None:  # type: ignore[no-untyped-def]
-    nsde("--help")
+def test_help_starts_within_three_tenths_of_a_second() -> None:
     times = []
-    for _ in range(5):
+    for _ in range(6):
         start = time.perf_counter()
-        assert nsde("--help").returncode == 0
+        subprocess.run([sys.executable, "-m", "nsde_torch.cli", "--help"], capture_output=True, check=True)
         times.append(time.perf_counter() - start)
     assert min(times) < 0.3
 
@@ -147,9 +146,3 @@ def test_bash_completes_a_line(line: str, expected: list[str], tmp_path: Path) -
     env = {**os.environ, "PATH": f"{tmp_path}:{os.environ['PATH']}"}
     done = subprocess.run(["bash", "-c", script], capture_output=True, text=True, env=env, check=True)
     assert done.stdout.splitlines() == expected
-
-
-def test_the_objects_of_the_commands_bear_the_names_of_the_table() -> None:
-    assert all(command.name == name for name, command in hydra_commands().items())
-    with pytest.raises(KeyError, match="sweep-report"):
-        hydra_command("sweep-report")

@@ -9,7 +9,7 @@ from tests.helpers.commands import Said
 
 COMMON = {
     "track": ("out_dir=out", "mpc.compile=off"), "close-loop": ("out_dir=out",), "vehicle": ("duration=5",),
-    "diagnose": ("system=mass_spring_damper", "retrain=false"),
+    "diagnose": ("system=mass_spring_damper", "retrain=false"), "serve": ("port=0", "out_dir=served"),
 }  # fmt: skip
 """Words that come behind the command, where a mistake that is not seen would cost more than a moment."""
 
@@ -101,8 +101,12 @@ MISTAKES = {
         ("experiments=1 experiment.fence=[[3,-3],[-3,3],[0.4,4]]", "`experiment.fence` takes"),
         ("flights=0", "`flights` must be at least 1"),
     ],
-    "fly": [
-        ("run=pid link.url=udpin:0.0.0.0:14999", "link.expose=true"),
+    "fly": [("run=pid link.url=udpin:0.0.0.0:14999", "link.expose=true"), ("", "`run` must be given")],
+    "serve": [
+        ("port=70000", "`port` must be from 0 to 65535"),
+        ("upload=0", "`upload` must be above 0"),
+        ("host=0.0.0.0", "`host` is not a key"),
+        ("system=boat", "no such choice"),
     ],
     "simulate": [
         ("out=data plant.effects=[track_tilt]", "track_tilt"),

@@ -62,11 +62,8 @@ def test_finished_policy_can_be_continued_to_more_interactions(tmp_path: Path) -
         ("environment=nowhere", "no run directory nowhere"),
         ("environment=hexacopter", "is a model of hexacopter"),
         ("system=hexacopter", "must be one that has a task: cartpole"),
-        ("truth=gym", "plant | published"),
         ("ppo.batch=7", "`ppo.batch` must divide"),
-        ("sensor_noise=-1", "sensor_noise"),
         ("scored_against=[nowhere]", "holds no finished policy"),
-        ("stepz=1", "Did you mean `steps`?"),
     ],
 )
 def test_fault_of_the_user_is_named(

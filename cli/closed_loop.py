@@ -349,11 +349,7 @@ def _designed(
         return f"{asked(question.content())} {error}"
     finally:
         stages.close()
-    made.save(place / ".unfinished")
-    # `design.json` is last, because it says that the stage is finished
-    for file in sorted((place / ".unfinished").iterdir(), key=lambda p: p.name == RESULT):
-        file.replace(place / file.name)
-    (place / ".unfinished").rmdir()
+    made.save(place)
     say(made.report)
     return read_design(place)
 
@@ -515,10 +511,7 @@ def close_loop(config: DictConfig, job: Job) -> float | None:
         )
     _same_settings(config, folder)
     loop = ClosedLoop(config, folder)
-    if config.reference.check:
-        known, problem = physics(config, []), track_build.problem(config.mpc)
-        predictor = Predictor(known, dt=problem.dt)
-        feasible.check(loop.reference, predictor, problem, tilt=config.reference.tilt_limit)
+    track_build.envelope(config, loop.reference, physics(config, []))
     if (waiting := loop.fly_logged()) is not None:
         say(waiting.sentence)
         return None

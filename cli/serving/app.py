@@ -56,7 +56,6 @@ class ServedPage:
 
     def __post_init__(self) -> None:
         self._shelf = self.runner.shelf
-        self._receiving: set[tuple[str, int]] = set()
         job = "/api/jobs/<name>"
         answers: list[tuple[str, str, Callable[..., Response]]] = [
             ("GET", "/", self._page),
@@ -137,16 +136,11 @@ class ServedPage:
             if job.state != "uploading" or index >= len(job.files) or job.files[index].there:
                 raise RefusedError("This log is not expected.", 409)
             file = job.files[index]
-            if (name, index) in self._receiving:
-                raise RefusedError("This log is being sent already.", 409)
-            self._receiving.add((name, index))
         try:
             receive(request.stream.read, self._shelf.of(job) / "logs" / file.name, file.size)
         except RefusedError:
             self._shelf.delete(job)
             raise
-        finally:
-            self._receiving.discard((name, index))
         file.there = True
         self._shelf.note(job)
         return answer_json(self._brief(job))

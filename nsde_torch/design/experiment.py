@@ -22,6 +22,7 @@ from nsde_torch.design.rehearsal import Rehearsed
 from nsde_torch.errors import ConfigError
 from nsde_torch.systems import System
 from nsde_torch.texts import rendered
+from nsde_torch.whole_files import write_whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -183,15 +184,14 @@ class Experiment:
         return report(self.content())
 
     def save(self, folder: str | Path) -> Path:
-        """Write `design.json`, `plan.csv` and `design.png`; returns the folder."""
+        """Write `plan.csv`, `design.png` and last `design.json`, which says that all is there; returns the folder."""
         from nsde_torch.plots.style import save as save_figure
 
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
-        text = json.dumps(self.content(), indent=1, allow_nan=False)
-        (folder / RESULT).write_text(text + "\n", encoding="utf-8")
         write_plan(folder / PLAN, tuple(self.given), self.rows())
         save_figure(picture(self), folder / PICTURE)
+        write_whole(folder / RESULT, json.dumps(self.content(), indent=1, allow_nan=False) + "\n")
         return folder
 
     def content(self) -> dict[str, Any]:

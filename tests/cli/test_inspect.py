@@ -62,16 +62,6 @@ def test_what_was_found_is_written_as_json_for_a_program(
     assert "`json`" in refused("inspect", *words, f"json={tmp_path / 'no' / 'found.json'}")
 
 
-def test_a_wrong_sign_of_the_input_is_told_by_the_physics(
-    springs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    mapping = tmp_path / "mapping.yaml"
-    states = "q: {from: 'position [mm]', unit: mm}, q_dot: {from: 'speed [mm/s]', unit: mm/s}"
-    mapping.write_text(f"columns: {{{states}, force: {{from: force, sign: -1}}}}\n", encoding="utf-8")
-    assert main(["inspect", str(springs), "system=mass_spring_damper", f"mapping={mapping}"]) == 1
-    assert "NO  signs of the physics: With the opposite sign of 'force'" in capsys.readouterr().out
-
-
 def test_a_quadrotor_is_recognised_and_its_mapping_checked(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], shown: Said
 ) -> None:

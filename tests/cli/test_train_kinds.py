@@ -5,12 +5,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import torch
-from torch import Tensor
 
 import nsde_torch
 from nsde_torch.cli.main import main
-from nsde_torch.models import IdentifiedModel, Model
+from nsde_torch.models import IdentifiedModel
 
 ENSEMBLE = (
     *("model=ensemble", "model.steps=20", "threads=1", "trainer.patience=1000"),
@@ -19,14 +17,7 @@ ENSEMBLE = (
 SYSID = ("model=sysid", "threads=1")
 UNTESTED = ("system=mass_spring_damper", "data.durations=[10]", "data.test=[]")
 SPRING = ("system=mass_spring_damper", "data.durations=[5,5,5]", "+data.options.force=multisine")
-SYSTEMS = [
-    ("cartpole", "[4,4,4]", 0.02),
-    ("hexacopter", "[6,5]", 0.05),
-    ("mass_spring_damper", "[5,5]", 0.01),
-]
 PICTURES = {"data_summary", "held_out_errors", "held_out_rollouts"}
-
-on_every_system = pytest.mark.parametrize(("system", "durations", "dt"), SYSTEMS)
 
 
 def train(folder: Path, *words: str) -> dict[str, Any]:
@@ -35,19 +26,13 @@ def train(folder: Path, *words: str) -> dict[str, Any]:
     return metrics
 
 
-def sampled(model: Model, dt: float) -> Tensor:
-    x0 = model.project(torch.ones(2, model.system.nx))
-    u = torch.full((2, 3, model.system.nu), 0.4)
-    path = model.sample(x0, u, dt=dt, particles=4, generator=torch.Generator().manual_seed(0))
-    assert path.shape == (4, 2, 4, model.system.nx)
-    assert bool(torch.isfinite(path).all())
-    return path
-
-
-@on_every_system
+@pytest.mark.parametrize(
+    ("system", "durations"),
+    [("cartpole", "[4,4,4]"), ("hexacopter", "[6,5]"), ("mass_spring_damper", "[5,5]")],
+)
 @pytest.mark.slow
-def test_an_identified_model_trains_saves_loads_samples_and_is_scored(
-    system: str, durations: str, dt: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_an_identified_model_trains_saves_loads_and_is_scored(
+    system: str, durations: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     metrics = train(tmp_path / "run", *SYSID, f"system={system}", f"data.durations={durations}")
     said = capsys.readouterr().out
@@ -69,8 +54,6 @@ def test_an_identified_model_trains_saves_loads_samples_and_is_scored(
     assert isinstance(model, IdentifiedModel)
     for name, (value, _) in model.system.all_declared().items():
         assert value.tolist() == pytest.approx(metrics["parameters"][name]["value"], rel=1e-5, abs=1e-6)
-    path = sampled(model, dt)
-    assert torch.equal(path[0], path[3])
 
 
 @pytest.mark.parametrize(

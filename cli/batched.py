@@ -63,6 +63,7 @@ class Batched(Launcher):
                 process.start()
                 theirs.close()
                 running[ours] = number, process
+            ready: Any
             for ready in wait(list(running)):
                 number, process = running.pop(ready)
                 with suppress(EOFError):

@@ -40,7 +40,9 @@ from nsde_torch.control.shapes import from_csv
 from nsde_torch.design import DesignOptions, Question, Standing, design, obtained, open_questions, standing_of
 from nsde_torch.design.experiment import PLAN, RESULT, read_design
 from nsde_torch.diagnosis.decisions import Options
+from nsde_torch.diagnosis.files import EFFECTS
 from nsde_torch.diagnosis.files import RESULT as DIAGNOSED
+from nsde_torch.effects.files import read
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.plots import save
 from nsde_torch.plots.tracking import tracking
@@ -55,6 +57,7 @@ from nsde_torch.px4.options import FlightOptions, Limits
 from nsde_torch.px4.simulator.simulated import fly_simulated
 from nsde_torch.systems import Multirotor, System
 from nsde_torch.systems.machines import plant_effects
+from nsde_torch.systems.options import system_options
 from nsde_torch.systems.registry import system_class
 from nsde_torch.texts import rendered
 from nsde_torch.whole_files import json_text, read_json
@@ -62,15 +65,7 @@ from nsde_torch.whole_files import json_text, read_json
 from . import build, fly_build, track_build
 from .exit_status import FLIGHT_ENDED, EndedError
 from .hydra_command import Job, say
-from .known_machine import (
-    KnownMachine,
-    diagnose_logs,
-    diagnosis_content,
-    effects_found,
-    log_files,
-    machine_in,
-    read_logs,
-)
+from .known_machine import KnownMachine, diagnose_logs, known_machine, log_files, read_logs
 
 LINK, HAND, PLANT = "link", "hand", "plant"
 Json = Mapping[str, Any]
@@ -87,13 +82,6 @@ def physics(config: DictConfig, effects: list[Any]) -> System:
     known = knowledge(DECLARED, config.plant.system, effects=effects)
     assert isinstance(known, System)
     return known
-
-
-def true_effects(config: DictConfig) -> list[Any]:
-    """Effects that the simulated machine has beside the declared physics, with their values."""
-    given = build.options(config.plant)["effects"]
-    found = plant_effects(config.plant.system, effects=given, declared_only=config.plant.declared_only)
-    return [{name: values} for name, values in found.items()]
 
 
 @final
@@ -281,7 +269,9 @@ def run_experiments(loop: ClosedLoop) -> tuple[list[dict[str, Any]], StoppedLoop
             return done, StoppedLoop("budget", f"{spent} A larger one goes on from here.")
         place = loop.folder / f"experiment_{number}"
         place.mkdir(parents=True, exist_ok=True)
-        known = machine_in(loop.logs, loop.diagnosis, loop.config.plant.system, loop.kind)
+        name = loop.config.plant.system
+        data = read_logs(loop.logs, name, loop.kind, content)
+        known = known_machine(loop.diagnosis, content, system_options(name).make(), data)
         plan = _planned(loop, place, known, open_questions(content, known.system), number)
         if isinstance(plan, StoppedLoop):
             return done, plan
@@ -398,7 +388,8 @@ def _other_machine(loop: ClosedLoop, place: Path, before: Json) -> StoppedLoop |
     Of a log that a person put in, every objection that was not there before counts. Nothing of such a log is kept as
     done: the next start reads what lies there then, or flies again.
     """
-    warnings = [w for w in diagnosis_content(place / "diagnosis")["warnings"] if w["parameter"] is None]
+    content = read_json(place / "diagnosis" / DIAGNOSED)
+    warnings = [w for w in content["warnings"] if w["parameter"] is None]
     known = {w["kind"] for w in before.get("warnings", ())}
     said = [w for w in warnings if w["kind"] in _OTHERS and place.name in w["sentence"]]
     if loop.machine is None:
@@ -521,7 +512,8 @@ def close_loop(config: DictConfig, job: Job) -> float | None:
     content = record(loop, experiments, stop)
     (folder / RECORD).write_text(json_text(content), encoding="utf-8")
     drawn = picture(loop, folder)
-    print(f"\n{text(content)}")
+    told = {"after_over_truth": None, **content, "experiments": list(map(experiment_text, experiments))}
+    print("\n" + rendered(__file__, "close_loop.txt", **told))
     flown = [f"{s}/" for s in (LOG, BEFORE, AFTER, TRUTH) if (folder / s).is_dir()]
     planned = [f"experiment_{e['number']}/" for e in experiments]
     wrote = [RECORD, *([PICTURE] if drawn else []), f"{DIAGNOSIS}/", *planned, *flown]
@@ -590,12 +582,12 @@ class ClosedLoop:
 
     @property
     def found(self) -> dict[str, Any]:
-        return diagnosis_content(self.diagnosis)
+        return read_json(self.diagnosis / DIAGNOSED)
 
     @property
     def told(self) -> list[Any]:
         """What the controller knows: effects of the last diagnosis."""
-        effects = effects_found(self.diagnosis)
+        effects = [{name: given} for name, given in read(self.diagnosis / EFFECTS)[1].items()]
         return effects if self.machine is None else needed(effects, self.config.by)
 
     def compare(self) -> None:
@@ -611,8 +603,10 @@ class ClosedLoop:
 
     @property
     def truth(self) -> list[Any]:
-        """Effects of a controller that knows the simulated machine."""
-        return needed(true_effects(self.config), self.config.by)
+        """Effects of a controller that knows the simulated machine, which has them beside the declared physics."""
+        given, plant = build.options(self.config.plant)["effects"], self.config.plant
+        found = plant_effects(plant.system, effects=given, declared_only=plant.declared_only)
+        return needed([{name: values} for name, values in found.items()], self.config.by)
 
     def flown(self, stage: str) -> list[dict[str, Any]]:
         """What was measured in the flights of a stage that are compared."""
@@ -721,12 +715,6 @@ def record(loop: ClosedLoop, experiments: list[dict[str, Any]], stop: StoppedLoo
         content["truth_mean_m"] = _mean([p["truth_m"] for p in pairs])
         content["after_over_truth"] = _mean([p["after_m"] / p["truth_m"] for p in pairs]) if known else None
     return content
-
-
-def text(content: dict[str, Any]) -> str:
-    """The record in some lines."""
-    flown = [experiment_text(entry) for entry in content["experiments"]]
-    return rendered(__file__, "close_loop.txt", **{"after_over_truth": None, **content, "experiments": flown})
 
 
 def picture(loop: ClosedLoop, folder: Path) -> bool:

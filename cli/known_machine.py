@@ -1,6 +1,5 @@
 """What a diagnosis left of a machine: its system, the runs that were looked at, and what was found."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +16,7 @@ from nsde_torch.effects import files as effects_files
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.recording.faults import remedies
 from nsde_torch.systems import System
-from nsde_torch.systems.options import system_options
+from nsde_torch.whole_files import read_json
 
 from . import build
 from .quoted import as_typed
@@ -70,7 +69,7 @@ def diagnosed(folder: Path, moved: str | None) -> KnownMachine:
     if not (folder / RESULT).is_file() or not (folder / CONFIG).is_file():
         command = as_typed("nsde", "diagnose", paths={"out_dir": folder})
         raise ConfigError(f"`run`: {folder} holds no {RESULT} with {CONFIG}; `{command}` writes them.")
-    content = diagnosis_content(folder)
+    content = read_json(folder / RESULT)
     if content.get("so_far"):
         raise ConfigError(
             f"`run`: the diagnosis in {folder} is not finished: what seems open in it may not have been tested yet. "
@@ -149,18 +148,6 @@ def read_logs(
     )
 
 
-def machine_in(folder: Path, diagnosis: Path, system: str, kind: str | None) -> KnownMachine:
-    """What a diagnosis in a folder knows, with the runs that it looked at."""
-    content = diagnosis_content(diagnosis)
-    data = read_logs(folder, system, kind, content)
-    return known_machine(diagnosis, content, system_options(system).make(), data)
-
-
-def diagnosis_content(folder: Path) -> dict[str, Any]:
-    """Content of `diagnosis.json`."""
-    return json.loads((folder / RESULT).read_text(encoding="utf-8"))
-
-
 def diagnose_logs(
     folder: Path, out: Path, system: str, kind: str | None, *, settings: Mapping[str, Any]
 ) -> None:
@@ -178,9 +165,3 @@ def diagnose_logs(
     print("\n".join(lines(content)))
     # last, because it says that the stage is finished
     write_content(content, out)
-
-
-def effects_found(diagnosis: Path) -> list[Any]:
-    """Effects that a diagnosis found, with values."""
-    _, effects = effects_files.read(diagnosis / EFFECTS)
-    return [{name: given} for name, given in effects.items()]

@@ -19,7 +19,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(listing())
         return OK
     if words[0] in ("-V", "--version"):
-        print(f"nsde {version()}")
+        from importlib import metadata
+
+        print(f"nsde {metadata.version('nsde_torch')}")
         return OK
     name, rest = words[0], words[1:]
     known = entry_of(name)
@@ -66,9 +68,3 @@ def unknown_command(name: str) -> str:
         f"nsde: no command `{name}`.{hint} Commands: {', '.join(known)}. A command of another package is known once "
         "that package is installed; after an update of a checkout, run `pip install -e .` there again."
     )
-
-
-def version() -> str:
-    from importlib import metadata
-
-    return metadata.version("nsde_torch")

@@ -36,13 +36,9 @@ def main(arguments: Sequence[str]) -> int:
         return OK
     if words[0] not in SHELLS or len(words) > 1:
         raise ConfigError(f"expected one of {', '.join(SHELLS)}; got {' '.join(words)}.")
-    print(script(words[0]), end="")
+    file = resources.files("nsde_torch.cli").joinpath("shell", f"nsde.{words[0]}")
+    print(file.read_text(encoding="utf-8"), end="")
     return OK
-
-
-def script(shell: str) -> str:
-    """What teaches a shell to complete `nsde`."""
-    return resources.files("nsde_torch.cli").joinpath("shell", f"nsde.{shell}").read_text(encoding="utf-8")
 
 
 def complete(words: Sequence[str]) -> list[str]:

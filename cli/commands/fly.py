@@ -134,18 +134,13 @@ def run(config: Config, job: Job) -> float | None:
             content["flights"].append({**report.as_dict(), "took_s": time.perf_counter() - started})
             job.run_dir.mkdir(parents=True, exist_ok=True)
             (job.run_dir / RESULT).write_text(json_text(content), encoding="utf-8")
-            say(_text(report))
+            say(rendered(TEXTS, "flight.txt", **report.as_dict(), begun=report.outcome.begun))
             if report.outcome.trouble is not None:
                 break
     finally:
         controller.close()
     print(f"wrote {job.run_dir}: {RESULT}" + (f", {LOG}/" if any(r.log for r in reports) else ""))
     return _verdict(reports)
-
-
-def _text(report: FlightReport) -> str:
-    """One flight in some lines."""
-    return rendered(TEXTS, "flight.txt", **report.as_dict(), begun=report.outcome.begun)
 
 
 def _verdict(reports: list[FlightReport]) -> float | None:

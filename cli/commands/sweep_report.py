@@ -46,11 +46,13 @@ def main(arguments: Sequence[str]) -> int:
     jobs = read_jobs(folder)
     if not jobs:
         raise ConfigError(f"no jobs in `{folder}`; a sweep is made by `nsde train -m ...`.")
-    score = options.by or _score(jobs)
-    if options.by and not any(options.by in job.metrics for job in jobs):
-        names = ", ".join(sorted({name for job in jobs for name in job.metrics})) or "none at all"
+    known = list(dict.fromkeys(name for job in jobs for name in job.metrics))
+    if options.by and options.by not in known:
+        names = ", ".join(sorted(known)) or "none at all"
         raise ConfigError(f"no job has the metric `{options.by}`; there are: {names}.")
-    columns = _columns(jobs, options.columns or COLUMNS, score)
+    score = options.by or next((name for name in SCORES if name in known), SCORES[0])
+    patterns = options.columns or COLUMNS
+    columns = [name for name in known if name != score and any(fnmatch(name, p) for p in patterns)]
     # groups whose scores compare: all of them by a number that the user names
     scales: dict[str, list[Group]] = {}
     for group in sorted(grouped(jobs), key=lambda group: (_place(group.mean(score)), group.label)):
@@ -115,16 +117,6 @@ def _parser() -> argparse.ArgumentParser:
         "--columns", metavar="PATTERN", nargs="+", help="numbers of metrics.json to show, * matches anything"
     )
     return parser
-
-
-def _score(jobs: Sequence[SweepJob]) -> str:
-    known = {name for job in jobs for name in job.metrics}
-    return next((name for name in SCORES if name in known), SCORES[0])
-
-
-def _columns(jobs: Sequence[SweepJob], patterns: Sequence[str], score: str) -> list[str]:
-    known = list(dict.fromkeys(name for job in jobs for name in job.metrics))
-    return [name for name in known if name != score and any(fnmatch(name, pattern) for pattern in patterns)]
 
 
 def _pair(group: Group, metric: str) -> str:

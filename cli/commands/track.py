@@ -123,13 +123,13 @@ def run(config: Config, job: Job) -> float | None:
         label = track_build.label(name)
         flights[label] = _fly(config, name, known.get(name, first), first, path, start)
         content["controllers"][label] = {"run": name, **summarise(flights[label], system)}
-        print(_text(label, content["controllers"][label]), flush=True)
+        say(_text(label, content["controllers"][label]))
     (job.run_dir / RESULT).write_text(json_text(content), encoding="utf-8")
-    own = flights[track_build.label(config.run)]
-    write_log(own, system, job.run_dir / LOG)
+    own = track_build.label(config.run)
+    write_log(flights[own], system, job.run_dir / LOG)
     wrote = [RESULT, f"{LOG}/", *_pictures(config, job, flights, path, system)]
     print(f"\n{job.took}; wrote {job.run_dir}: {', '.join(wrote)}")
-    found = content["controllers"][track_build.label(config.run)]
+    found = content["controllers"][own]
     return found.get("rmse_m", max(found.get("rmse", {}).values(), default=None))
 
 

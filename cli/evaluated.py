@@ -33,11 +33,12 @@ def read_runs(given: object, names: Sequence[str] | None, device: Any) -> dict[s
         )
     found = {}
     for name, folder in zip(names, folders, strict=True):
-        _check_finished(folder)
+        if wrong := _unfinished(folder):
+            raise CheckpointError(f"`run={folder}`: {wrong}")
         see_own_modules(folder)
         found[name] = load(folder, device=device)
-    first, *others = found.values()
-    for other in others:
+    first = next(iter(found.values()))
+    for other in found.values():
         if other.spec.system != first.spec.system:
             raise ConfigError(
                 f"`run`: only models of one system can be compared; {first.folder} is of {first.spec.system}, "
@@ -52,9 +53,8 @@ def _folders(given: object) -> list[Path]:
         raise ConfigError(f"`run` must be a run directory, or a list of them: run=[A,B]; got {given!r}.")
     folders = [Path(str(item)) for item in listed]
     places = [folder.resolve() for folder in folders]
-    for folder, place in zip(folders, places, strict=True):
-        if places.count(place) > 1:
-            raise ConfigError(f"`run` names {folder} twice.")
+    if twice := [f for f, place in zip(folders, places, strict=True) if places.count(place) > 1]:
+        raise ConfigError(f"`run` names {twice[0]} twice.")
     return folders
 
 
@@ -68,15 +68,12 @@ def short_names(folders: Sequence[Path]) -> list[str]:
     return names
 
 
-def _check_finished(folder: Path) -> None:
-    """Refuse a folder without `metrics.json`, which is the last thing that a training writes."""
+def _unfinished(folder: Path) -> str:
+    """What is wrong with a folder without `metrics.json`, which is the last thing that a training writes."""
     if not folder.is_dir():
-        raise CheckpointError(f"`run={folder}`: no such folder; give the folder that `nsde train` printed.")
-    if not (folder / METRICS).is_file():
-        raise CheckpointError(f"`run={folder}`: {_what_is_wrong(folder)}")
-
-
-def _what_is_wrong(folder: Path) -> str:
+        return "no such folder; give the folder that `nsde train` printed."
+    if (folder / METRICS).is_file():
+        return ""
     jobs = sorted(path.parent.name for path in folder.glob(f"*/{METRICS}"))
     if jobs:
         return (

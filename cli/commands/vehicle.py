@@ -85,7 +85,6 @@ def run(config: Config, job: Job) -> None:
 
 
 def _simulate(config: Config, first: Body, errors: SensorErrors) -> None:
-    """Be the simulator of a real PX4."""
     from nsde_torch.px4.link.connection import open_transport
     from nsde_torch.px4.simulator.hil import HilPlant, HilServer, airframe
 
@@ -115,7 +114,6 @@ def _ends(duration: float | None) -> Callable[[], bool]:
 
 
 def _fly(config: Config, body: Body, parameters: dict[str, float], errors: SensorErrors) -> None:
-    """Be a vehicle with a PX4 in it."""
     from nsde_torch.px4.link.connection import open_transport
     from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
     from nsde_torch.px4.simulator.simulated import Vehicle

@@ -249,14 +249,8 @@ def _check_physics(
 ) -> str | None:
     """Read runs with all checks, fit the declared physics to means over 0.15 s, and look for better interpretations.
 
-    Args:
-        out: Takes checks and notes.
-        numbering: Whose numbers the motors are taken to have, where others are to be tried; None: they are said.
-        fixed: Whether a user said so: another is then reported, and not applied.
-        fits: Whether the physics is fitted.
-
-    Returns:
-        Whose numbers the motors have, where the physics speaks for another than was assumed.
+    `numbering`: whose numbers the motors are taken to have, where others are to be tried, `fixed`: which a user said;
+    whose they have is returned, where the physics speaks for another.
     """
     try:
         data = read(list(runs), system=changed(machine), state_smoothing="restore" if fits else "keep")

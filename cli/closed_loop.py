@@ -125,8 +125,7 @@ class TrackedPlant:
         c, reference = self._config, Reference(path)
         known = physics(c, effects)
         plant = track_build.plant(c.plant, known, seed=seed)
-        made: dict[str, Any] = {"batch": 1, "sample": plant.dt}
-        autopilot = track_build.autopilot(DECLARED, known, c, reference, **made, say=say)
+        autopilot = track_build.autopilot(DECLARED, known, c, reference, batch=1, sample=plant.dt)
         late, span = c.plant.state_latency, path.duration
         flight = fly_plant(autopilot, plant, reference, state_latency=late, duration=span)
         (written,) = write_log([flight], known, log.parent)

@@ -29,6 +29,7 @@ from . import build, track_build
 from .exit_status import FLIGHT_ENDED, INTERRUPTED, NOT_LANDED, EndedError
 from .hydra_command import say
 from .own_modules import see_own_modules
+from .schemas import MpcConfig
 
 if TYPE_CHECKING:
     from nsde_torch.models import Model
@@ -40,8 +41,6 @@ _UNUSED = ("motor_latency", "force_time", "moment_time")
 
 def known(config: DictConfig) -> Model | System:
     """What is known of the machine, for `run=pid` too: its declared physics."""
-    from .schemas import MpcConfig
-
     given = [name for name in _UNUSED if config.mpc[name] != getattr(MpcConfig, name)]
     if given:
         raise ConfigError(
@@ -136,14 +135,9 @@ def body(plant: DictConfig, *, seed: int) -> Body:
             "a vehicle is plant=hexacopter or plant=quadrotor, without plant.dt and plant.state_latency (which nsde "
             "close-loop has with by=plant)."
         )
-    return Body(
-        plant.system or "hexacopter",
-        seed=seed,
-        effects=build.options(plant)["effects"],
-        declared_only=plant.declared_only,
-        process_noise=plant.process_noise,
-        latency=plant.latency,
-    )
+    given = build.options(plant)
+    how = {name: given[name] for name in ("effects", "declared_only", "process_noise", "latency")}
+    return Body(plant.system or "hexacopter", seed=seed, **how)
 
 
 def limits(config: DictConfig) -> Limits:
@@ -153,15 +147,10 @@ def limits(config: DictConfig) -> Limits:
 
 def setpoints(config: DictConfig) -> SetpointLimits:
     """Bounds of the commands that are sent, of the group `limits`; ConfigError for a throttle that is no pair."""
-    throttle = tuple(config.throttle)
-    if len(throttle) != 2 or not throttle[0] < throttle[1]:
-        raise ConfigError(f"`limits.throttle` takes [lowest, highest]; got {list(throttle)}.")
-    return SetpointLimits(
-        rate=config.rate,
-        yaw_rate=config.yaw_rate,
-        throttle=(throttle[0], throttle[1]),
-        tilt=radians(max(config.tilt - 5.0, 5.0)),
-    )
+    given = build.shared(SetpointLimits, config)
+    if len(given["throttle"]) != 2 or not given["throttle"][0] < given["throttle"][1]:
+        raise ConfigError(f"`limits.throttle` takes [lowest, highest]; got {config.throttle}.")
+    return SetpointLimits(**{**given, "tilt": radians(max(config.tilt - 5.0, 5.0))})
 
 
 _STOPPED = ("stop", "stopped")

@@ -36,9 +36,10 @@ from nsde_torch.systems import Multirotor, System
 from nsde_torch.systems.machines import machine
 
 from . import build
+from .hydra_command import say
 from .own_modules import see_own_modules
+from .schemas import MpcConfig
 
-Say = Callable[[str], None]
 PID = "pid"
 
 _PATHS: Mapping[str, Callable[..., FlightPath]] = {
@@ -157,14 +158,7 @@ def planning(config: DictConfig, system: System | None = None) -> dict[str, Any]
 
 
 def autopilot(
-    name: str,
-    known: Model | System,
-    config: DictConfig,
-    path: StateReference,
-    *,
-    batch: int,
-    sample: float,
-    say: Say,
+    name: str, known: Model | System, config: DictConfig, path: StateReference, *, batch: int, sample: float
 ) -> Autopilot:
     """A controller by its name: `pid`, or the predictive one with what is known of the machine."""
     mpc = config.mpc
@@ -220,7 +214,6 @@ def is_exported(name: str) -> bool:
 
 def agreed(file: ExportedController, mpc: DictConfig) -> None:
     """Refuse settings of `mpc` that somebody gave and that a file does not have: nothing would come of them."""
-    from .schemas import MpcConfig
 
     def settings(*parts: Any) -> dict[str, Any]:
         found = {name: value for part in parts for name, value in asdict(part).items()}

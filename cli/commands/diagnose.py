@@ -155,20 +155,15 @@ def _training(config: Config, job: Job) -> str:
 
 def _train(config: Config, machine: SystemOptions, job: Job, found: Diagnosis) -> dict[str, Any]:
     """Train the model of the configuration with the effects; an ordinary run directory."""
-    from omegaconf import open_dict
+    from .. import build
 
     # what was given stays as it is
     known = {**found.declared_values, **machine.values}
     machine = system_options(machine, effects=found.effects, parameters=known)
-    for fault, found_values in found.sensor_faults.items():
+    for fault, values in found.sensor_faults.items():
         if fault in config.data:  # simulated runs are made by sensors without one
-            with open_dict(config.data[fault]):
-                for name, value in found_values.items():
-                    config.data[fault][name] = config.data[fault].get(name, 0.0) + value
+            given = build.options(config.data)[fault]
+            config.data[fault] = given | {k: given.get(k, 0.0) + v for k, v in values.items()}
     metrics = fit(config, machine, job.run_dir / MODEL)
-    test = metrics.get("test", {})
-    return {
-        "path": MODEL,
-        "test_runs": metrics["test_runs"],
-        "errors": test.get("errors", {}).get("model", {}),
-    }
+    errors = metrics.get("test", {}).get("errors", {}).get("model", {})
+    return {"path": MODEL, "test_runs": metrics["test_runs"], "errors": errors}

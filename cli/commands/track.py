@@ -153,9 +153,7 @@ def _fly(
         plant = track_build.plant(config.plant, first, seed=config.seed * 100_003 + k)
         if autopilot is None or count != size:
             size = count
-            autopilot = track_build.autopilot(
-                name, known, config, path, batch=count, sample=plant.dt, say=say
-            )
+            autopilot = track_build.autopilot(name, known, config, path, batch=count, sample=plant.dt)
         out.append(
             fly(
                 autopilot,

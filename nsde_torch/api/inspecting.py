@@ -1,7 +1,8 @@
 """What is in a log, what its columns mean to a system, and whether that is so."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from math import exp
 from pathlib import Path
 from typing import Any
@@ -170,8 +171,17 @@ def _mapped(
     if machine is None and not (given and given.system):
         note = f"the system is taken for {guessed.name!r}, by what is logged (`system=` says another)"
         out.notes.insert(0, note)
-    if not found.missing:
-        _check(out, files, log, guessed, physics=physics, fixed=given is not None)
+    if found.missing:
+        return out
+    assert out.mapping is not None
+    entry = out.mapping.columns.get("u")
+    said = entry is None or "u" in log.columns
+    numbering = None if entry is None or said else entry.numbering or "px4"
+    runs_of = partial(_applied, out, files, log, guessed)
+    numbers = _judge(out, guessed, runs_of, physics=physics, numbering=numbering, fixed=given is not None)
+    if numbers is not None:
+        out.mapping = out.mapping.changed("u", numbering=numbers)
+        out.notes = [note for note in out.notes if "taken to be numbered" not in note]
     return out
 
 
@@ -187,33 +197,16 @@ def _with_blanks(mapping: LogMapping | None, machine: System, kind: str, log: St
     return replace(mapping, columns={**mapping.columns, **{name: ColumnEntry(()) for name in left}})
 
 
-def _check(
-    out: Inspection, files: Sequence[LogFile], log: StreamLog, machine: System, *, physics: bool, fixed: bool
-) -> None:
-    """Kinematics, gravity and physics of the first runs."""
+def _applied(out: Inspection, files: Sequence[LogFile], log: StreamLog, machine: System) -> list[RawRun]:
+    """The first runs, as the mapping reads them."""
     assert out.mapping is not None
-    try:
-        runs = [apply(log, out.mapping, machine)]
-    except NsdeError as error:
-        out.checks = [LogCheck("reading", False, str(error), REFUSED)]
-        return
+    runs = [apply(log, out.mapping, machine)]
     for file in files[1:_RUNS]:
         try:
             runs.append(apply(file.open(out.mapping.time), out.mapping, machine))
         except NsdeError as error:
             out.notes.append(f"{file.name} cannot be read: {error}")
-    out.checks = checks(machine, together(runs), out.mapping)
-    if out.refused:
-        return
-    entry = out.mapping.columns.get("u")
-    said = entry is None or "u" in log.columns
-    numbering = None if entry is None or said else entry.numbering or "px4"
-    # beside a doubt, physics would find an interpretation that is a little better, and no cause
-    fits = physics and not out.doubts
-    found = _check_physics(out, machine, runs, numbering=numbering, fixed=fixed, fits=fits)
-    if found is not None:
-        out.mapping = out.mapping.changed("u", numbering=found)
-        out.notes = [note for note in out.notes if "taken to be numbered" not in note]
+    return runs
 
 
 def _native(path: Path, kind: str, machine: System | None, *, physics: bool) -> Inspection:
@@ -227,33 +220,37 @@ def _native(path: Path, kind: str, machine: System | None, *, physics: bool) -> 
     log = open_ulog(files[0]) if kind == "ulog" else LogFile(files[0].stem, files[0], "table").open(seconds)
     machine = machine or system_options(_px4_frame(log) if kind == "ulog" else guess_system(log)).make()
     out = Inspection(str(path), kind, [p.stem for p in files], rows_of(log), machine.name, native=True)
-    try:
-        runs: list[RawRun] = reader(kind)(machine, path=files[0] if kind == "ulog" else path)
-    except NsdeError as error:
-        out.checks.append(LogCheck("reading", False, str(error), REFUSED))
-        return out
-    out.checks = checks(machine, together(runs))
-    if not out.refused:
-        _check_physics(out, machine, runs[:_RUNS], fits=physics and not out.doubts)
+    runs_of = partial(reader(kind), machine, path=files[0] if kind == "ulog" else path)
+    _judge(out, machine, runs_of, physics=physics)
     return out
 
 
-def _check_physics(
+def _judge(
     out: Inspection,
     machine: System,
-    runs: Sequence[RawRun],
+    runs_of: Callable[[], list[RawRun]],
     *,
+    physics: bool,
     numbering: str | None = None,
     fixed: bool = False,
-    fits: bool = True,
 ) -> str | None:
-    """Read runs with all checks, fit the declared physics to means over 0.15 s, and look for better interpretations.
+    """Kinematics, gravity and all checks of reading; physics, fitted to means over 0.15 s, and better interpretations.
 
     `numbering`: whose numbers the motors are taken to have, where others are to be tried, `fixed`: which a user said;
     whose they have is returned, where the physics speaks for another.
     """
     try:
-        data = read(list(runs), system=changed(machine), state_smoothing="restore" if fits else "keep")
+        runs = runs_of()
+    except NsdeError as error:
+        out.checks = [LogCheck("reading", False, str(error), REFUSED)]
+        return None
+    out.checks = checks(machine, together(runs), out.mapping)
+    if out.refused:
+        return None
+    # beside a doubt, physics would find an interpretation that is a little better, and no cause
+    fits = physics and not out.doubts
+    try:
+        data = read(runs[:_RUNS], system=changed(machine), state_smoothing="restore" if fits else "keep")
     except NsdeError as error:
         out.checks.append(LogCheck("checks of all data", False, str(error), REFUSED))
         return None

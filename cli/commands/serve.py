@@ -74,19 +74,14 @@ def run(config: Config, job: Job) -> None:
         first=system,
         typed=[word for word in typed.overrides.task if word.lstrip("+~").startswith("system.")],
     )
-    limits = ServeLimits(
-        upload=int(config.upload * 2**20),
-        max_minutes=config.max_minutes,
-        seconds=config.time,
-        memory=int(config.memory * 2**30),
-        jobs=config.jobs,
-        keep=config.keep,
-    )
+    bytes_ = {"upload": int(config.upload * 2**20), "memory": int(config.memory * 2**30)}
+    same = {name: config[name] for name in ("max_minutes", "jobs", "keep")}
+    limits = ServeLimits(**bytes_, seconds=config.time, **same)
     sock = listen(HOST, config.port)
     port = sock.getsockname()[1]
     token = secrets.token_urlsafe(24)
     shelf = Shelf(Path(config.out_dir), limits)
-    runner = JobRunner(shelf, known, limits)
+    runner = JobRunner(shelf, known)
     hosts = [f"{name}:{port}" for name in (HOST, "localhost")]
     page: Any = ServedPage(runner, token=token, hosts=hosts)
     print(f"http://{HOST}:{port}/#{token}", flush=True)

@@ -23,13 +23,12 @@ class JobRunner:
 
     shelf: Shelf  # the jobs
     machines: Machines  # that are offered
-    limits: ServeLimits  # of time and memory
     make: Callable[..., CommandProcess] = CommandProcess  # makes the process of a command
 
     def __post_init__(self) -> None:
         self._work: dict[str, CommandProcess] = {}
         self._began: dict[str, float] = {}
-        self._closed = False
+        self._closed, self.limits = False, self.shelf.limits
         self._looks, self._diagnoses = ThreadPoolExecutor(1), ThreadPoolExecutor(self.limits.jobs)
 
     def inspect(self, job: ServedJob, *, system: str | None, mapping: str | None) -> None:
@@ -68,11 +67,9 @@ class JobRunner:
     def cancel(self, job: ServedJob) -> None:
         """Stop a job that is at work or waits; its logs stay."""
         with self.shelf.lock:
-            work = self._work.get(job.id)
-            if job.state == "waiting":
-                self.shelf.note(job, state="cancelled", sentence="It was stopped before it began.")
-            elif job.state == "looking" and work is None:
-                self.shelf.note(job, state="refused", sentence="It was stopped before it began.")
+            work, left = self._work.get(job.id), {"waiting": "cancelled", "looking": "refused"}
+            if work is None and job.state in left:
+                self.shelf.note(job, state=left[job.state], sentence="It was stopped before it began.")
         if work is not None:
             work.stop()
 

@@ -151,7 +151,7 @@ def make_page(
 ) -> Page:
     """A page that keeps its jobs in a folder."""
     bounds, known = ServeLimits(**limits), machines(None)
-    runner = JobRunner(Shelf(folder, bounds), known, bounds, make=make)
+    runner = JobRunner(Shelf(folder, bounds), known, make=make)
     return Page(ServedPage(runner, token=TOKEN, hosts=hosts), runner, folder)
 
 

@@ -88,13 +88,11 @@ def _others(section: str | None, chosen: dict[str, str]) -> list[str]:
     own = CHOICES.get(section or "", {})
     if section is None or chosen.get(section) not in own:
         return []
-    shown = {field.name for field in dataclasses.fields(own[chosen[section]])}
+    names = {choice: [field.name for field in dataclasses.fields(schema)] for choice, schema in own.items()}
     lines = []
-    for choice, schema in own.items():
-        more = [field.name for field in dataclasses.fields(schema) if field.name not in shown]
-        if more:
-            listed = ", ".join(f"{section}.{name}" for name in more)
-            lines += _wrapped(f"{section}={choice} has also: {listed}", "  ", 4)
+    for choice, every in names.items():
+        if more := [f"{section}.{name}" for name in every if name not in names[chosen[section]]]:
+            lines += _wrapped(f"{section}={choice} has also: {', '.join(more)}", "  ", 4)
     return lines
 
 
@@ -106,11 +104,8 @@ def _wrapped(text: str, start: str, indent: int) -> list[str]:
 
 def _usage(command: str) -> list[str]:
     rows = [*hydra_command(command).examples, ("--cfg job", "print the configuration and stop")]
-    lines = ["How to override (NSDE_TRACEBACK=1 shows the traceback of an error)"]
-    for words, meaning in rows:
-        left = f"  nsde {command} {words}"
-        lines.append(f"{left:<45} {meaning}".rstrip())
-    return lines
+    lines = [f"{f'  nsde {command} {words}':<45} {meaning}".rstrip() for words, meaning in rows]
+    return ["How to override (NSDE_TRACEBACK=1 shows the traceback of an error)", *lines]
 
 
 # --- what the shell offers after `nsde COMMAND ...`: groups, choices, keys, allowed words, files --------------------
@@ -154,11 +149,8 @@ def found_files(start: str) -> list[str]:
         return []
     prefix = f"{folder}/" if "/" in start else ""
     found = [entry for entry in os.scandir(base) if entry.name.startswith(begin)]
-    return sorted(
-        f"{prefix}{entry.name}/" if entry.is_dir() else f"{prefix}{entry.name}"
-        for entry in found
-        if begin.startswith(".") or not entry.name.startswith(".")
-    )
+    seen = [entry for entry in found if begin.startswith(".") or not entry.name.startswith(".")]
+    return sorted(f"{prefix}{entry.name}{'/' if entry.is_dir() else ''}" for entry in seen)
 
 
 def _values(command: str, before: Sequence[str], name: str, value: str) -> list[str]:

@@ -85,13 +85,8 @@ class Key:
             return " | ".join(self.choices)
         if self.low is not None and self.high is not None:
             return f"from {self.low:g} to {self.high:g}"
-        if self.above is not None and self.high is not None:
-            return f"above {self.above:g}, at most {self.high:g}"
-        if self.low is not None:
-            return f"at least {self.low:g}"
-        if self.above is not None:
-            return f"above {self.above:g}"
-        return f"at most {self.high:g}" if self.high is not None else ""
+        bounds = {"at least": self.low, "above": self.above, "at most": self.high}
+        return ", ".join(f"{words} {bound:g}" for words, bound in bounds.items() if bound is not None)
 
 
 def default_of(field: dataclasses.Field[Any]) -> Any:

@@ -138,7 +138,7 @@ def choice_values(group: str, choice: str, extra: Path | None = None) -> dict[st
 def _composed(group: str, choice: str, extra: Path | None) -> tuple[list[str], dict[str, Any]]:
     """A choice and those that it builds on, and the values that they set."""
     content = _read(group, choice, extra)
-    names, values = [choice], {}
+    names, values = [choice], dict[str, Any]()
     for item in content.pop("defaults", []):
         if isinstance(item, str) and "/" not in item and item not in ("_self_", choice):
             parents, inherited = _composed(group, item, extra)

@@ -9,6 +9,7 @@ import sys
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from typing import TYPE_CHECKING, Any
 
 from ..hydra_command import Config, HydraCommand, Job
@@ -71,17 +72,12 @@ def catalogue(system: str | None = None) -> list[dict[str, Any]]:
     from nsde_torch.effects.law import split_name
     from nsde_torch.systems import SYSTEMS, make_system
 
-    machine = None
-    if system is None:
-        chosen = dict(EFFECTS)
-    else:
-        machine = make_system(system)
-        chosen = machine.able_effects()
-    able = {s: cls.able_effects() for s, cls in SYSTEMS.items()}
-    of_machines = {s: {split_name(name)[0] for name in effects} for s, effects in able.items()}
+    machine = None if system is None else make_system(system)
+    chosen = EFFECTS if machine is None else machine.able_effects()
+    able = {s: {split_name(name)[0] for name in cls.able_effects()} for s, cls in SYSTEMS.items()}
     rows = []
     for name, cls in chosen.items():
-        fits = [s for s, effects in of_machines.items() if name in effects] if system is None else [system]
+        fits = [s for s, effects in able.items() if name in effects] if system is None else [system]
         # why a diagnosis of the machine does not try an effect: empty where it does, None without a machine
         reason = None if machine is None else why_not(machine, name)
         rows.append({**_row(cls, fits), "no_candidate": reason})
@@ -144,9 +140,7 @@ def table(rows: Sequence[dict[str, Any]], width: int, *, systems: bool) -> str:
 
 def _wrapped(cells: Sequence[str], widths: Sequence[int]) -> list[str]:
     columns = [textwrap.wrap(cell, w) or [""] for cell, w in zip(cells, widths, strict=True)]
-    count = max(map(len, columns))
-    padded = [[*column, *[""] * (count - len(column))] for column in columns]
-    rows = zip(*padded, strict=True)
+    rows = zip_longest(*columns, fillvalue="")
     return [_GAP.join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows]
 
 

@@ -234,8 +234,9 @@ def numbers(content: Any, prefix: str = "") -> Iterator[tuple[str, float]]:
 def _read_job(folder: Path) -> SweepJob:
     listed = read_yaml(folder / ".hydra" / "overrides.yaml") or []
     overrides = {key.lstrip("+"): value for key, _, value in (str(word).partition("=") for word in listed)}
-    if (folder / "failed.json").is_file():
-        return SweepJob(folder, overrides, FAILED, reason=_reason(folder / "failed.json"))
+    if failed := read_json(folder / "failed.json"):
+        reason = " ".join(f"{failed['error']}: {failed['message']}".split())
+        return SweepJob(folder, overrides, FAILED, reason=reason)
     content = None
     with suppress(json.JSONDecodeError):  # cut short: the process died while it wrote
         content = read_json(folder / "metrics.json", read_json(folder / "policy.json"))
@@ -247,14 +248,6 @@ def _read_job(folder: Path) -> SweepJob:
     if spread and not any(spread):  # one path: no interval, which is not one that holds nothing
         metrics_of = {name: v for name, v in metrics_of.items() if not name.startswith("test.coverage")}
     return SweepJob(folder, overrides, DONE, metrics=metrics_of, scale=scale)
-
-
-def _reason(path: Path) -> str:
-    try:
-        content = read_json(path)
-        return " ".join(f"{content['error']}: {content['message']}".split())
-    except (json.JSONDecodeError, KeyError, TypeError):
-        return f"{path.name} is damaged"
 
 
 def _number(job: SweepJob) -> tuple[int, str]:

@@ -198,15 +198,13 @@ class ServedPage:
 
 
 def _content(request: Request) -> dict[str, Any]:
-    if request.mimetype != "application/json":
-        raise RefusedError("The request must be JSON.", 415)
     raw = request.stream.read(_LARGEST + 1)
     if len(raw) > _LARGEST:
         raise RefusedError("The request is too large.", 413)
     try:
         content = json.loads(raw)
     except (ValueError, RecursionError):
-        raise RefusedError("The request must be JSON.") from None
+        content = None
     if not isinstance(content, dict):
         raise RefusedError("The request must be a JSON object.")
     return content

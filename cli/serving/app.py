@@ -198,6 +198,8 @@ class ServedPage:
 
 
 def _content(request: Request) -> dict[str, Any]:
+    if request.mimetype != "application/json":  # what a form of another site can send
+        raise RefusedError("The request must be JSON.", 415)
     raw = request.stream.read(_LARGEST + 1)
     if len(raw) > _LARGEST:
         raise RefusedError("The request is too large.", 413)

@@ -23,25 +23,12 @@ Json = dict[str, Any]
 Array = NDArray[np.float64]
 Case = tuple[str, Callable[[], Json], Json]
 """Name of an answer, what makes it, and the answer where that ends in an error, which counts as wrong."""
+_AXES = {"p": "xyz", "v": "xyz", "q": "wxyz", "w": "xyz"}
 STATES: dict[str, tuple[str, ...]] = {
     "mass_spring_damper": ("q", "q_dot"),
     "cartpole": ("x", "x_dot", "theta", "theta_dot"),
 }
-STATES["multirotor"] = (
-    "p_x",
-    "p_y",
-    "p_z",
-    "v_x",
-    "v_y",
-    "v_z",
-    "q_w",
-    "q_x",
-    "q_y",
-    "q_z",
-    "w_x",
-    "w_y",
-    "w_z",
-)
+STATES["multirotor"] = tuple(f"{k}_{a}" for k, axes in _AXES.items() for a in axes)
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(_name, "1")  # of libraries and processes that come later
 threadpool_limits(1)

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from nsde_torch.arrays import Array
 from nsde_torch.effects import Law, Parameter, Port
-from nsde_torch.systems import Defaults, ErrorGroup, OneDegreeOfFreedom, ResidualPort
+from nsde_torch.systems import Defaults, OneDegreeOfFreedom, ResidualPort
 
 from .benchmark import BenchmarkMetric, BenchmarkOutcome, PublicBenchmark, PublishedRow, Trace
 from .files import Work, long_enough, matrices
@@ -99,10 +99,6 @@ class Oscillator(OneDegreeOfFreedom):
     residual_ports = {Port.FORCE: ResidualPort(1, 1.0, "m/s2")}
     PARAMETERS = {"input_gain": Parameter(0.5, "1/kg", low=0.0, help="1 / mass")}
     defaults = Defaults(STEP, 50, (1e-4, 0.1), 0.1, 1.0, "euler_maruyama")
-    error_names = state_names
-    error_groups = (ErrorGroup("position", (0,), "m"), ErrorGroup("velocity", (1,), "m/s"))
-    feature_names = state_names
-    feature_units = state_units
 
 
 @final

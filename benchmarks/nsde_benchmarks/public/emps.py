@@ -18,7 +18,7 @@ from nsde_torch.arrays import Array
 from nsde_torch.data.raw import RawRun
 from nsde_torch.effects import Parameter, Port
 from nsde_torch.errors import DataError
-from nsde_torch.systems import Defaults, ErrorGroup, OneDegreeOfFreedom, ResidualPort
+from nsde_torch.systems import Defaults, OneDegreeOfFreedom, ResidualPort
 from nsde_torch.systems.options import system_options
 
 from .benchmark import BenchmarkMetric, BenchmarkOutcome, PublicBenchmark, PublishedRow, Trace
@@ -49,8 +49,6 @@ class PositioningDrive(OneDegreeOfFreedom):
     residual_ports = {Port.FORCE: ResidualPort(1, 0.5, "m/s2")}
     PARAMETERS = {"force_gain": Parameter(0.05, "1/kg", low=0.0, help="1 / mass")}
     defaults = Defaults(0.005, 25, (0.001, 0.05), 0.1, 1.0, "euler_maruyama")
-    error_names = state_names
-    error_groups = (ErrorGroup("position", (0,), "m"), ErrorGroup("velocity", (1,), "m/s"))
     feature_names = ("q_dot",)
     feature_units = ("m/s",)
 

@@ -27,7 +27,7 @@ from nsde_torch.systems.base import System
 from .benchmark import BenchmarkMetric, BenchmarkOutcome, PublicBenchmark, PublishedRow, Trace
 from .files import MOTORS, Work, all_filled, flight_states, long_enough, table
 from .named import diagnosed, words_of
-from .output_error import machine, rms
+from .output_error import by_name, machine, rms
 
 # The four models of thrust that NanoBench compares: a gain of the sum of squared commands, or a regression.
 #
@@ -42,54 +42,6 @@ SAMPLES, DEGREE = 15, 3
 """Of the filter of Savitzky and Golay that differentiates the height twice."""
 POLYNOMIAL = 2
 SMALLEST = 1e-9
-
-
-@dataclass(frozen=True)
-class VerticalRecord:
-    """What the models read of a flight."""
-
-    t: Array  # times (n,) [s]
-    u: Array  # commands (n, 4) in [0, 1]
-    voltage: Array  # (n,) [V]
-    vertical: Array  # vertical acceleration and gravity (n,) [m/s2]
-
-    @property
-    def squares(self) -> Array:
-        """Sum of the squared commands (n,)."""
-        return np.asarray((self.u**2).sum(1))
-
-    @property
-    def gain(self) -> Array:
-        """Acceleration per squared command (n,) [m/s2]."""
-        return self.vertical / (self.squares + SMALLEST)
-
-
-ThrustModel = Callable[[VerticalRecord, int], Array]
-"""From a flight and the first row of its test to the accelerations of the test rows (m,)."""
-
-
-def _polynomial(record: VerticalRecord, of: Array, split: int) -> Array:
-    """A gain that is a polynomial of a quantity."""
-    middle = float(of[:split].mean())
-    weights = np.polyfit(of[:split] - middle, record.gain[:split], POLYNOMIAL)
-    return np.asarray(np.polyval(weights, of[split:] - middle) * record.squares[split:])
-
-
-def _linear(record: VerticalRecord, split: int) -> Array:
-    """Least squares on commands and voltage."""
-    columns = np.column_stack((record.u, record.voltage, np.ones(len(record.t))))
-    weights = np.linalg.lstsq(columns[:split], record.vertical[:split], rcond=None)[0]
-    return np.asarray(columns[split:] @ weights)
-
-
-THRUST_MODELS: dict[str, ThrustModel] = {
-    "constant gain": lambda r, split: float(r.gain[:split].mean()) * r.squares[split:],
-    "time-indexed": lambda r, split: _polynomial(r, r.t, split),
-    "linear regression": _linear,
-    "voltage-conditioned": lambda r, split: _polynomial(r, r.voltage, split),
-}
-
-
 FULL = 65535.0
 """Motor command of full thrust."""
 FLYING = 1000.0
@@ -123,16 +75,30 @@ NOTE = "another flight, below 3.8 V, not in the repository"
 
 
 @dataclass(frozen=True)
-class BatteryFlight(VerticalRecord):
+class BatteryFlight:
     """Rows of a flight, from the first on which the motors turn to the last; motors in the order of quad-x."""
 
     name: str  # of the file
+    t: Array  # times (n,) [s]
     x: Array  # states (n, 13)
+    u: Array  # commands (n, 4) in [0, 1]
+    voltage: Array  # (n,) [V]
+    vertical: Array  # vertical acceleration and gravity (n,) [m/s2]
 
     @property
     def split(self) -> int:
         """First row of the test."""
         return int(TRAINED * len(self.t))
+
+    @property
+    def squares(self) -> Array:
+        """Sum of the squared commands (n,)."""
+        return np.asarray((self.u**2).sum(1))
+
+    @property
+    def gain(self) -> Array:
+        """Acceleration per squared command in the training part (split,) [m/s2]."""
+        return (self.vertical / (self.squares + SMALLEST))[: self.split]
 
     def training(self) -> RawRun:
         """The airborne rows of the training part."""
@@ -144,6 +110,31 @@ class BatteryFlight(VerticalRecord):
         rows = slice(up[0], up[-1] + 1)
         extra = {"battery_voltage": self.voltage[rows]}
         return RawRun(self.name, self.t[rows], self.x[rows], self.u[rows], extra)
+
+
+def _polynomial(flight: BatteryFlight, of: Array) -> Array:
+    """A gain that is a polynomial of a quantity."""
+    split = flight.split
+    middle = float(of[:split].mean())
+    weights = np.polyfit(of[:split] - middle, flight.gain, POLYNOMIAL)
+    return np.asarray(np.polyval(weights, of[split:] - middle) * flight.squares[split:])
+
+
+def _linear(flight: BatteryFlight) -> Array:
+    """Least squares on commands and voltage."""
+    split = flight.split
+    columns = np.column_stack((flight.u, flight.voltage, np.ones(len(flight.t))))
+    weights = np.linalg.lstsq(columns[:split], flight.vertical[:split], rcond=None)[0]
+    return np.asarray(columns[split:] @ weights)
+
+
+THRUST_MODELS: dict[str, Callable[[BatteryFlight], Array]] = {
+    "constant gain": lambda flight: float(flight.gain.mean()) * flight.squares[flight.split :],
+    "time-indexed": lambda flight: _polynomial(flight, flight.t),
+    "linear regression": _linear,
+    "voltage-conditioned": lambda flight: _polynomial(flight, flight.voltage),
+}
+"""From a flight to the accelerations of its test rows (m,)."""
 
 
 @final
@@ -186,7 +177,7 @@ class NanoBench(PublicBenchmark):
         rows: dict[str, dict[str, float]] = {}
         as_published: dict[str, dict[str, float]] = {}
         for name, model in THRUST_MODELS.items():
-            fitted = [model(flight, flight.split) for flight in flights]
+            fitted = [model(flight) for flight in flights]
             rows[f"{name}, fitted here"] = _scores(flights, fitted)
             gravity = 0.0 if name == "linear regression" else GRAVITY
             as_published[name] = _scores(flights, [p - gravity for p in fitted])
@@ -224,7 +215,7 @@ def read_flight(path: Path) -> BatteryFlight:
     t, x, u, voltage = rows[:, 0], flight_states(rows[:, 1:14], path), rows[:, 14:18], rows[:, 18]
     dt = float(np.median(np.diff(t)))
     vertical = np.asarray(savgol_filter(x[:, 2], SAMPLES, DEGREE, deriv=2, delta=dt) + GRAVITY)
-    return BatteryFlight(t, u[:, list(MOTORS)] / FULL, voltage, vertical, path.stem, x)
+    return BatteryFlight(path.stem, t, x, u[:, list(MOTORS)] / FULL, voltage, vertical)
 
 
 def _identified(terms: Sequence[str], flights: Sequence[BatteryFlight], work: Work) -> dict[str, Any]:
@@ -234,8 +225,7 @@ def _identified(terms: Sequence[str], flights: Sequence[BatteryFlight], work: Wo
     system = machine("quadrotor", terms, {})
     data = read([flight.training() for flight in flights], system=system)
     estimate = identify(system, data.runs, clock=data.clock_scale, method=METHOD)
-    found_at = {place.name: estimate.values[place.columns].tolist() for place in estimate.vector.places}
-    values = {name: value[0] if len(value) == 1 else value for name, value in found_at.items()}
+    values = by_name(estimate.vector, estimate.values)
     system = machine("quadrotor", terms, values)
     predicted = []
     for k, flight in enumerate(flights):

@@ -73,6 +73,12 @@ def with_units(system: System, values: Mapping[str, Any]) -> dict[str, dict[str,
     return {name: {"value": value, "unit": declared[name][1]} for name, value in values.items()}
 
 
+def by_name(vector: ParameterVector, theta: Array) -> dict[str, Any]:
+    """Values of parameters; a list where a parameter has axes."""
+    found = {place.name: theta[place.columns].tolist() for place in vector.places}
+    return {name: value[0] if len(value) == 1 else value for name, value in found.items()}
+
+
 def rms(error: Array) -> float:
     return float(np.sqrt((error**2).mean()))
 
@@ -258,11 +264,9 @@ def output_error(
             break
     vector.write(system, theta)
     say(stage, iterations, iterations)
-    found = {place.name: theta[place.columns].tolist() for place in vector.places}
-    values = {name: value[0] if len(value) == 1 else value for name, value in found.items()}
     full = np.zeros((*now.shape[:2], len(weights)))
     full[..., used] = now / weights[used]
-    return OutputErrorEstimate(values, starts[:, : system.nx], full, tuple(cost))
+    return OutputErrorEstimate(by_name(vector, theta), starts[:, : system.nx], full, tuple(cost))
 
 
 def _solve(by_theta: Array, by_start: Array, errors: Array, damping: float) -> tuple[Array, Array]:

@@ -19,7 +19,7 @@ from nsde_torch.arrays import Array
 from nsde_torch.data.raw import RawRun
 from nsde_torch.effects import Parameter, Port
 from nsde_torch.errors import DataError
-from nsde_torch.systems import Defaults, ErrorGroup, ResidualPort, System
+from nsde_torch.systems import Defaults, ResidualPort, System
 
 from .benchmark import BenchmarkMetric, BenchmarkOutcome, PublicBenchmark, Trace
 from .files import Work, long_enough, table
@@ -55,8 +55,6 @@ class MotorPendulum(System):
         "weight": Parameter(20.0, "1/s2", low=0.0, help="m g l / inertia"),
     }
     defaults = Defaults(STEP, 25, (0.001, 0.5), 0.1, 1.0, "euler_maruyama")
-    error_names = state_names
-    error_groups = (ErrorGroup("angle", (0,), "rad"), ErrorGroup("rate", (1,), "rad/s"))
     feature_names = ("sin_theta", "cos_theta", "theta_dot")
     feature_units = ("1", "1", "rad/s")
 

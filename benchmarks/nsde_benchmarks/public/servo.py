@@ -17,7 +17,7 @@ from torch import Tensor
 
 from nsde_torch.arrays import Array
 from nsde_torch.effects import Coordinate, Parameter, Port
-from nsde_torch.systems import Defaults, ErrorGroup, ResidualPort, System
+from nsde_torch.systems import Defaults, ResidualPort, System
 
 GRAVITY = 9.80665
 DUTY_LIMIT = 0.97
@@ -58,8 +58,6 @@ class ServoPendulum(System):
         "angle_offset": Parameter(0.0, "rad", scale=0.01, help="what the sensor reads of a hanging arm"),
     }
     defaults = Defaults(STEP, 50, (0.001, 0.05), 0.1, 1.0, "euler_maruyama")
-    error_names = state_names
-    error_groups = (ErrorGroup("angle", (0,), "rad"), ErrorGroup("rate", (1,), "rad/s"))
     feature_names = ("sin_theta", "cos_theta", "theta_dot")
     feature_units = ("1", "1", "rad/s")
 

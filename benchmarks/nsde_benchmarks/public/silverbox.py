@@ -16,7 +16,7 @@ import numpy as np
 
 from nsde_torch.arrays import Array
 from nsde_torch.effects import Parameter, Port
-from nsde_torch.systems import Defaults, ErrorGroup, OneDegreeOfFreedom, ResidualPort
+from nsde_torch.systems import Defaults, OneDegreeOfFreedom, ResidualPort
 
 from .benchmark import BenchmarkMetric, BenchmarkOutcome, PublicBenchmark, PublishedRow, Trace
 from .files import Work, long_enough, matrices
@@ -53,10 +53,6 @@ class SilverboxCircuit(OneDegreeOfFreedom):
     residual_ports = {Port.FORCE: ResidualPort(1, 1.0, "V/s2")}
     PARAMETERS = {"input_gain": Parameter(1.8e5, "1/s2", low=0.0, scale=1e4, help="gain of the input")}
     defaults = Defaults(STEP, 50, (1e-4, 0.1), 0.1, 1.0, "euler_maruyama")
-    error_names = state_names
-    error_groups = (ErrorGroup("output", (0,), "V"), ErrorGroup("rate", (1,), "V/s"))
-    feature_names = state_names
-    feature_units = state_units
 
 
 @final

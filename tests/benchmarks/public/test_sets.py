@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -9,13 +10,7 @@ import numpy as np
 import pytest
 
 from nsde_benchmarks.public import BENCHMARKS, nanobench, nanodrone, run_benchmark
-from nsde_benchmarks.public.nanobench import (
-    FLIGHTS,
-    THRUST_MODELS,
-    NanoBench,
-    VerticalRecord,
-    read_flight,
-)
+from nsde_benchmarks.public.nanobench import FLIGHTS, THRUST_MODELS, BatteryFlight, NanoBench, read_flight
 from nsde_benchmarks.public.output_error import output_error, simulated, windows
 from nsde_benchmarks.public.running import listing, table
 from nsde_torch.data.raw import RawRun
@@ -93,29 +88,29 @@ def test_windows_longer_than_every_run_are_refused() -> None:
         windows([x], [u], dt=0.02, length=300)
 
 
-def _record(rows: int = 400) -> VerticalRecord:
+def _record(rows: int = 400) -> BatteryFlight:
     rng = np.random.default_rng(1)
     t = 0.01 * np.arange(rows)
     u = 0.7 + 0.1 * rng.random((rows, 4))
     voltage = 4.0 - 0.1 * t + 0.05 * rng.standard_normal(rows)
     gain = 11.0 * (1.0 + 0.5 * (voltage - 4.0) + 0.2 * (voltage - 4.0) ** 2)
-    return VerticalRecord(t, u, voltage, gain * (u**2).sum(1))
+    return BatteryFlight("made", t, np.zeros((rows, 13)), u, voltage, gain * (u**2).sum(1))
 
 
 def test_the_model_of_the_voltage_is_exact_where_thrust_follows_it_and_the_others_are_not() -> None:
-    record, split = _record(), 280
-    true = record.vertical[split:]
-    left = {name: float(np.abs(model(record, split) - true).max()) for name, model in THRUST_MODELS.items()}
+    record = _record()
+    true = record.vertical[record.split :]
+    left = {name: float(np.abs(model(record) - true).max()) for name, model in THRUST_MODELS.items()}
     assert left.pop("voltage-conditioned") < 1e-6
     assert min(left.values()) > 0.05
 
 
 def test_nothing_of_the_test_part_is_used() -> None:
-    record, split = _record(), 280
-    other = VerticalRecord(record.t, record.u, record.voltage, record.vertical.copy())
-    other.vertical[split:] = 0.0
+    record = _record()
+    other = replace(record, vertical=record.vertical.copy())
+    other.vertical[record.split :] = 0.0
     for model in THRUST_MODELS.values():
-        assert np.array_equal(model(record, split), model(other, split))
+        assert np.array_equal(model(record), model(other))
 
 
 def test_rows_on_which_the_motors_stand_are_left_out_and_motors_are_in_order(

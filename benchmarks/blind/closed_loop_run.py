@@ -12,13 +12,26 @@ signals from outside the loop (`data.instruments=[...]`).
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Mapping, Sequence
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
 
-from study import Json, answered, held, holds, markdown, missing, options, read_json, truth_of, write_json
+from study import (
+    Json,
+    answered,
+    held,
+    holds,
+    markdown,
+    missing,
+    options,
+    pooled,
+    read_json,
+    shares,
+    truth_of,
+    write_json,
+)
 
 GAINS = ("thrust_gain", "roll_gain", "pitch_gain", "yaw_gain")
 MOVES = 1.1
@@ -70,7 +83,7 @@ def judge(truth: Mapping[str, Any], answer: Mapping[str, Any], found: Mapping[st
     out["tied"] = bool(out["tie"])
     residuals = [r for r in found["residual"].values() if isinstance(r, dict) and r.get("after")]
     out["moves"] = max((r["before"] / r["after"] for r in residuals), default=1.0) if true else None
-    out["inside"], out["intervals"] = held(truth["effects"], found["parameters"]) if out["named"] else (0, 0)
+    out["inside"] = held(truth["effects"], found["parameters"]) if out["named"] else [0, 0]
     out["gains"] = {}
     for name in GAINS:
         said, gain = found["declared_parameters"].get(name), truth["declared"][name]
@@ -84,37 +97,23 @@ def judge(truth: Mapping[str, Any], answer: Mapping[str, Any], found: Mapping[st
 def table(judged: Mapping[str, Json]) -> str:
     """Shares by regime, gains by regime and sticks, and every case, as Markdown."""
     every = list(judged.values())
-    regimes = sorted({j["regime"] for j in every})
     done = [j for j in every if "verdict" in j]
     singles, nulls = [j for j in done if j["true"]], [j for j in done if not j["true"]]
-
-    def row(what: str, cases: Sequence[Json], good: Callable[[Json], Any], of: Callable[[Json], int]) -> Any:
-        cells = [what]
-        for regime in ("all", *regimes):
-            some = [j for j in cases if regime in ("all", j["regime"])]
-            total = sum(map(of, some))
-            cells.append(f"{sum(int(good(j)) for j in some)} of {total}" if total else "")
-        return cells
-
     visible = [j for j in singles if j["named"] and j["moves"] >= MOVES]
-    rows = [
-        row(what, cases, good, lambda j: 1)
-        for what, cases, good in (
-            ("diagnosed", every, lambda j: "verdict" in j),
-            ("single effects: named", singles, lambda j: j["named"]),
-            ("named or tied", singles, lambda j: j["named"] or j["tied"]),
-            ("named first", singles, lambda j: j["first"]),
-            ("named, and nothing else", singles, lambda j: j["alone"]),
-            ("named, that cut a residual by 10 %: no lead", visible, lambda j: not j["lead"]),
-            ("nothing missing: silent", nulls, lambda j: j["verdict"] == "no_effect"),
-        )
+    asked = [
+        ("diagnosed", every, lambda j: "verdict" in j),
+        ("single effects: named", singles, lambda j: j["named"]),
+        ("named or tied", singles, lambda j: j["named"] or j["tied"]),
+        ("named first", singles, lambda j: j["first"]),
+        ("named, and nothing else", singles, lambda j: j["alone"]),
+        ("named, that cut a residual by 10 %: no lead", visible, lambda j: not j["lead"]),
+        ("nothing missing: silent", nulls, lambda j: j["verdict"] == "no_effect"),
+        ("90 % intervals of effects that hold", singles, lambda j: j["inside"]),
     ]
-    hold = "90 % intervals of effects that hold"
-    rows.append(row(hold, singles, lambda j: j["inside"], lambda j: j["intervals"]))
     seconds = sorted(j["seconds"] for j in every) or [0.0]
-    rows.append(["seconds, median (longest)", f"{seconds[len(seconds) // 2]:.0f} ({seconds[-1]:.0f})"])
+    spent = f"seconds, median (longest): {seconds[len(seconds) // 2]:.0f} ({seconds[-1]:.0f})"
     gains = []
-    for regime, logged in product(regimes, (True, False)):
+    for regime, logged in product(sorted({j["regime"] for j in done}), (True, False)):
         some = [j for j in done if j["regime"] == regime and j["sticks"] == logged]
         if some:
             words = f"{regime}, {'sticks logged' if logged else 'no sticks'}, {len(some)} cases"
@@ -129,8 +128,8 @@ def table(judged: Mapping[str, Json]) -> str:
         cases.append((*about, said, j.get("verdict", j["status"]), lead, cut, f"{j['seconds']:.0f}"))
     head = ("case", "system", "regime", "sticks", "true", "answer", "verdict", "lead", "cut", "s")
     of_gains = ("gains found over true, mean (range); intervals that hold", *GAINS)
-    parts = (("", "all", *regimes), rows), (of_gains, gains), (head, cases)
-    return "\n\n".join("\n".join(markdown(*part)) for part in parts) + "\n"
+    parts = shares(asked, "regime"), [spent], markdown(of_gains, gains), markdown(head, cases)
+    return "\n\n".join(map("\n".join, parts)) + "\n"
 
 
 def _gain(found: Sequence[Json]) -> str:
@@ -149,14 +148,8 @@ def main() -> None:
     given = parser.parse_args()
     folder = given.cases.resolve()
     todo = [] if given.judge else missing(folder, "answers", given.names)
-    started = time.perf_counter()
-    with ThreadPoolExecutor(given.jobs) as pool:
-
-        def one(name: str) -> str:
-            return diagnose(folder, name, given.limit, given.instruments, given.overrides)
-
-        for k, (name, status) in enumerate(zip(todo, pool.map(one, todo), strict=True), start=1):
-            print(f"{name} {status} ({k} of {len(todo)}, {time.perf_counter() - started:.0f} s)", flush=True)
+    how = given.limit, given.instruments, given.overrides
+    pooled(given.jobs, {name: partial(diagnose, folder, name, *how) for name in todo})
     judged = {}
     for name, truth, answer in answered(folder):
         result = folder / "answers" / name / "diagnosis.json"

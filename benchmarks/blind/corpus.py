@@ -18,8 +18,8 @@ import multiprocessing
 import resource
 import tempfile
 import time
-from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
@@ -48,20 +48,26 @@ def _judged(right: bool, truth: Any, inside: list[int] | None = None) -> Json:
     return {"right": bool(right), "null": not truth, "inside": inside or [0, 0], "truth": list(truth or ())}
 
 
+@contextmanager
+def _files(write: Callable[[Path], Any], smoother: int | None) -> Iterator[Path]:
+    """A folder with the files of a case, as logged or behind a smoother of `smoothed.py`."""
+    with tempfile.TemporaryDirectory() as raw, tempfile.TemporaryDirectory() as behind:
+        write(Path(raw))
+        if smoother is not None:
+            smoothed.smooth(Path(raw), Path(behind), smoother)
+        yield Path(raw if smoother is None else behind)
+
+
 def _generated(system: str, seed: int, count: int, smooth: bool = False) -> dict[str, Make]:
     """Cases of `generate.py`; or those of one effect or none behind a smoother."""
 
     def answer(case: generate.Case, number: int) -> Json:
-        with tempfile.TemporaryDirectory() as raw, tempfile.TemporaryDirectory() as behind:
-            generate.write(case, raw)
-            if smooth:
-                smoothed.smooth(Path(raw), Path(behind), number)
-            folder = Path(behind if smooth else raw)
+        with _files(partial(generate.write, case), number if smooth else None) as folder:
             found, truth = run.diagnose_case(folder, case.name), truth_of(folder, case.name)
         judged = run.judge(truth, found)
         null = judged["kind"] == "null"
         right = found["verdict"] == "no_effect" if null else judged["exact"] or judged["in_tie"]
-        return _judged(right, judged["true"], [judged["inside"], judged["intervals"]]) | {"null": null}
+        return _judged(right, judged["true"], judged["inside"]) | {"null": null}
 
     every = generate.cases(seed, count, systems=(system,))
     some = [c for c in every if not smooth or c.kind in smoothed.KINDS]
@@ -75,20 +81,8 @@ def _numbered(answer: Callable[[int], Json], count: int) -> dict[str, Make]:
 def _studied(case: Callable[..., Json], seed: int, i: int, **given: Any) -> Json:
     """A case of a study that makes and judges each in one function."""
     found = case(seed, i, **given)
-    right = two_joints.right(found) if case is two_joints.case else found.get("right", found.get("named"))
-    return _judged(right, found["truth"], found["inside"])
-
-
-def _law(machine: str, seed: int, i: int) -> Json:
-    """A case of `laws.py`; the true name is that under which the law was found, where it was."""
-    found = laws.case(machine, 1.0, seed, i)
-    true = []
-    if found.get("there"):  # a lead may be the law too
-        true = [n for n in found["sure"] if n not in found["surely_wrong"]]
-        true += [n for n in found["laws"] if n in found["leads"]]
-    held = found.get("held")
-    inside = None if held is None else [int(held), 1]
-    return _judged(found["named"], true, inside) | {"null": not found["truth"]}
+    true = found.get("there", found["truth"])  # of laws the names under which each was found
+    return _judged(found["right"], true, found["inside"]) | {"null": not found["truth"]}
 
 
 def _odd_law(seed: int, i: int) -> Json:
@@ -99,31 +93,27 @@ def _odd_law(seed: int, i: int) -> Json:
 
 
 def _flown(seed: int, names: tuple[str, ...], smoother: int | None = None) -> dict[str, Make]:
-    """Closed loops of `closed_loop.py`, as logged or behind a smoother of `smoothed.py`."""
+    """Closed loops of `closed_loop.py`."""
 
     def answer(case: closed_loop.Case) -> Json:
-        with tempfile.TemporaryDirectory() as raw, tempfile.TemporaryDirectory() as behind:
-            closed_loop.write(case, loop_flight.fly(closed_loop.flights_of(case)), Path(raw))
-            truth = truth_of(Path(raw), case.name)
-            if smoother is not None:
-                smoothed.smooth(Path(raw), Path(behind), smoother)
-            folder = Path(raw if smoother is None else behind) / "data" / case.name
-            content = diagnosed(folder, truth["system"])[0].content()
+        logged = loop_flight.fly(closed_loop.flights_of(case))
+        with _files(partial(closed_loop.write, case, logged), smoother) as folder:
+            truth = truth_of(folder, case.name)
+            content = diagnosed(folder / "data" / case.name, truth["system"])[0].content()
         judged = closed_loop_run.judge(truth, {"status": "done", "seconds": 0.0}, content)
         right = judged["alone"] or (judged["tied"] and judged["named"])
         right = right if truth["effects"] else judged["verdict"] == "no_effect"
-        return _judged(right, truth["effects"], [judged["inside"], judged["intervals"]])
+        return _judged(right, truth["effects"], judged["inside"])
 
     return {case.name: partial(answer, case) for case in closed_loop.cases(seed) if case.name in names}
 
 
 def _odd_machine(seed: int, name: str) -> Json:
     """A spring of `odd_springs.py` that stands, or whose encoder or motor has steps: right is sure of nothing wrong."""
-    found = odd_springs.diagnosed(name, seed)
-    odd_springs.judge(found)
-    missed = found["verdict"] == "no_effect" if found["may"] else bool(found["added"])
-    true = [n for n in found["added"] if n in found["may"]]
-    return _judged(not found["surely wrong"] and not missed, true) | {"null": not found["may"]}
+    found = odd_springs.case(name, seed)
+    missed = found["verdict"] == "no_effect" if found["truth"] else bool(found["added"])
+    true = [n for n in found["added"] if n in found["truth"]]
+    return _judged(not found["wrong"] and not missed, true) | {"null": not found["truth"]}
 
 
 def _late(seed: int, count: int) -> dict[str, Make]:
@@ -149,8 +139,8 @@ SETS: dict[str, dict[str, Make]] = {
     "positions": _numbered(partial(_studied, position_only.case, 32, full=False), 4),
     "positions with rates": _numbered(partial(_studied, position_only.case, 32, full=True), 4),
     "joints": _numbered(partial(_studied, two_joints.case, 202), 5),
-    "laws of springs": _numbered(partial(_law, "spring", 3001), 10),
-    "laws of carts": _numbered(partial(_law, "cart", 3001), 4),
+    "laws of springs": _numbered(partial(_studied, partial(laws.case, "spring", 1.0), 3001), 10),
+    "laws of carts": _numbered(partial(_studied, partial(laws.case, "cart", 1.0), 3001), 4),
     "odd springs": _numbered(partial(_odd_law, 8601), 4),
     "smoothed springs": _generated("mass_spring_damper", 8123, 10, smooth=True),
     "smoothed carts": _generated("cartpole", 8123, 8, smooth=True),

@@ -20,15 +20,12 @@ from study import Json, answers, numbered, options, written
 def case(machine: str, seed: int, i: int) -> Json:
     law, found, answer = written(lambda folder: laws.write(machine, seed, i, folder), SYSTEMS[machine])
     flexible = found.content()["flexible"]
-    keys = ("why_not", "explained", "explained_90", "left", "left_nats")
+    keys = ("why_not", "explained", "explained_90", "left", "left_nats", "sentence")
     out: Json = {
-        "case": i,
-        "machine": machine,
         "truth": None if law is None else {"law": law.kind.text, "c1": law.size},
         **answer,
         "ceiling_seconds": found.seconds["ceiling"],
         "flexible": {k: flexible[k] for k in keys},
-        "sentence": flexible["sentence"],
         "variables": [v for r in flexible["rows"] for v in r["variables"]],
     }
     if law is not None and found.explanation.ceiling.gain is not None:
@@ -54,40 +51,31 @@ def nats_of(found: Any, law: Law) -> Json:
     return {"effects": most.effects, "all": most.effects + most.left, "oracle": sum(oracle.nats.values())}
 
 
-def table(done: list[Json]) -> list[str]:
-    out = []
-    for machine in dict.fromkeys(d["machine"] for d in done):
-        own = [d for d in done if d["machine"] == machine]
-        nulls = [d for d in own if d["truth"] is None and "error" not in d]
-        cases = [d for d in own if d.get("nats") and d["nats"]["oracle"] > 0]
-        line = f"{machine}: {sum(d['flexible']['left'] for d in nulls)} of {len(nulls)} nulls with something left"
-        if cases:
-            shares = {
-                k: np.array([d["nats"][k] / d["nats"]["oracle"] for d in cases]) for k in ("effects", "all")
-            }
-            middle = {k: round(float(np.median(v)), 2) for k, v in shares.items()}
-            wrong = sum(bool(d["sure"]) and d["nats"]["effects"] < 0.8 * d["nats"]["oracle"] for d in cases)
-            most = {k: int((v >= 0.8).sum()) for k, v in shares.items()}
-            line += (
-                f"; of {len(cases)} laws, median share of the oracle's nats: {middle}; at least 0.8: {most}; "
-            )
-            line += f"sure of effects that have less: {wrong}"
-        line += f"; median {np.median([d['ceiling_seconds'] for d in own if 'error' not in d]):.1f} s for the ceiling"
-        out.append(line)
-    return out
+def table(done: list[Json]) -> None:
+    """Print how many nulls have something left, and the shares of an oracle's nats."""
+    done = [d for d in done if "error" not in d]
+    nulls = [d for d in done if d["truth"] is None]
+    cases = [d for d in done if d.get("nats") and d["nats"]["oracle"] > 0]
+    print(f"{sum(d['flexible']['left'] for d in nulls)} of {len(nulls)} nulls with something left")
+    for key in ("effects", "all") if cases else ():
+        share = np.array([d["nats"][key] / d["nats"]["oracle"] for d in cases])
+        most = f"at least 0.8 in {(share >= 0.8).sum()} of {len(cases)} laws"
+        print(f"{key}: median share of the oracle's nats {np.median(share):.2f}, {most}")
+    sure = sum(bool(d["sure"]) and d["nats"]["effects"] < 0.8 * d["nats"]["oracle"] for d in cases)
+    seconds = np.median([d["ceiling_seconds"] for d in done])
+    print(f"sure of effects that have less: {sure}; median {seconds:.1f} s for the ceiling")
 
 
 def line(answer: Json) -> str:
-    keys = ("truth", "added", "leads", "sure", "flexible", "variables", "nats")
-    return f"{answer['case']} { {k: answer[k] for k in (*keys, 'seconds', 'error') if k in answer} }"
+    keys = ("truth", "added", "leads", "sure", "flexible", "variables", "nats", "seconds", "error")
+    return str({k: answer[k] for k in keys if k in answer})
 
 
 def main() -> None:
     parser = options(__doc__, "seed", "out", first=0, count=12)
     parser.add_argument("--machine", choices=["spring", "cart", "joints", *ODD], required=True)
     a = parser.parse_args()
-    cases = numbered(a, partial(case, a.machine), a.machine, machine=a.machine, truth=None)
-    print("\n".join(table(answers(a.out, cases, line))))
+    table(answers(a.out, numbered(a, partial(case, a.machine), a.machine), line))
 
 
 if __name__ == "__main__":

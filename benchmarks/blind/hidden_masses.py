@@ -7,7 +7,8 @@ Every fourth case carries none, and logs of every third begin in the middle of m
 Runge and Kutta's method at a millisecond; multirotors are those of `closed_loop.py` with a load on a cable.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,9 +16,8 @@ from closed_loop import _machine
 from loop_flight import PATHS, Flight, fly
 from loop_machine import STEP, Array, Bodies, G, Machine
 from small_machines import step
-from study import options
+from study import Json, answers, diagnosed, judged, numbered, options, table
 
-import nsde_torch
 from nsde_torch.data.raw import RawRun
 
 RUN_S, PAUSE_S = 30.0, 5.0
@@ -28,8 +28,8 @@ def drawn(rng: np.random.Generator, *ends: tuple[float, float]) -> list[float]:
     return [float(np.exp(rng.uniform(*np.log(of)))) for of in ends]
 
 
-def spring(seed: int) -> tuple[str, list[RawRun], dict[str, float]]:
-    """Three runs of a spring; of every other seed, of a loop that reads what is logged."""
+def spring(seed: int) -> tuple[str, list[RawRun], dict[str, dict[str, float]]]:
+    """System, three runs and effects of a spring; of every other seed, of a loop that reads what is logged."""
     rng = np.random.default_rng([seed, 1])
     none, loop = seed % 4 == 3, bool(rng.integers(2))
     mass, own_hertz, rubs = drawn(rng, (0.03, 0.3), (0.4, 4.0), (0.02, 0.3))  # over the machine's, [Hz], 1
@@ -58,7 +58,8 @@ def spring(seed: int) -> tuple[str, list[RawRun], dict[str, float]]:
             x = step(lambda x, u=u: rates(x, u), x, STEP)
     t = dt * np.arange(n)
     out = [RawRun(f"run_{r}", t + r * (RUN_S + PAUSE_S), seen[:, r], inputs[:, r, None]) for r in range(runs)]
-    return "hidden_mass", out, {} if none else {"mass": mass, "frequency": own_hertz, "damping": rubs}
+    sizes = {"mass": mass, "frequency": own_hertz, "damping": rubs}
+    return "mass_spring_damper", out, {} if none else {"hidden_mass": sizes}
 
 
 class Loaded(Bodies):
@@ -88,8 +89,8 @@ class Loaded(Bodies):
         return push
 
 
-def load(seed: int) -> tuple[str, list[RawRun], dict[str, float]]:
-    """Four flights of a multirotor under a controller that reads what is logged."""
+def load(seed: int) -> tuple[str, list[RawRun], dict[str, dict[str, float]]]:
+    """System, four flights and effects of a multirotor under a controller that reads what is logged."""
     rng = np.random.default_rng([seed, 2])
     none = seed % 4 == 3
     Loaded.mass, Loaded.length, Loaded.damping = drawn(rng, (0.05, 0.3), (0.3, 2.5), (0.01, 0.1))
@@ -101,37 +102,20 @@ def load(seed: int) -> tuple[str, list[RawRun], dict[str, float]]:
     flown = fly(flights, Bodies if none else Loaded)
     runs = [RawRun(f"run_{k}", run.t, run.x, run.u) for k, run in enumerate(flown)]
     sizes = {"mass": Loaded.mass, "length": Loaded.length, "damping": Loaded.damping}
-    return f"slung_load@{machine.system}", runs, {} if none else sizes
+    return machine.system, runs, {} if none else {"slung_load": sizes}
 
 
-def judged(name: str, found: Mapping[str, Any], true: Mapping[str, float]) -> tuple[bool, list[bool]]:
-    """Whether the effect is named alone (or nothing where nothing is), and whether each interval holds; printed."""
-    added, said, inside = found["added"], [], list[bool]()
-    for key, value in true.items() if name in added else ():
-        one = found["parameters"][f"{name}.{key}"]
-        low, high = one["interval_90"] or (np.nan, np.nan)
-        inside.append(bool(low <= value <= high))
-        mark = "" if inside[-1] else " MISSED"
-        said.append(f"{key} {one['value']:.4g} ({low:.4g} to {high:.4g}; {value:.4g}){mark}")
-    alone = added == ([name] if true else [])
-    sure = "" if found["verdict"] == "unexplained" or not added else f" [{found['verdict']}]"
-    print("ok " if alone else "BAD", ", ".join(added) or found["verdict"], sure, "; ".join(said), flush=True)
-    return alone, inside
+def case(make: Callable[[int], Any], _: int, seed: int) -> Json:
+    """A machine of a seed, diagnosed."""
+    system, runs, true = make(seed)
+    return judged(diagnosed(runs, system)[1], true)
 
 
 def main() -> None:
-    parser = options(__doc__, first=0, count=12)
-    parser.add_argument("kind", choices=("springs", "loads"))
-    chosen = parser.parse_args()
-    alone, holds = 0, list[bool]()
-    for seed in range(chosen.first, chosen.first + chosen.count):
-        key, runs, true = (spring if chosen.kind == "springs" else load)(seed)
-        name, _, system = key.partition("@")
-        found = nsde_torch.diagnose(runs, system=system or "mass_spring_damper", say=False).content()
-        print(f"{seed:3d} ", end="")
-        one, each = judged(name, found, true)
-        alone, holds = alone + one, [*holds, *each]
-    print(f"right {alone} of {chosen.count}; intervals that hold {sum(holds)} of {len(holds)}")
+    parser = options(__doc__, seed=0, first=0, count=12, out=None)
+    parser.add_argument("what", choices=("springs", "loads"))
+    a = parser.parse_args()
+    table(answers(a.out, numbered(a, partial(case, spring if a.what == "springs" else load), a.what)))
 
 
 if __name__ == "__main__":

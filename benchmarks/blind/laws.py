@@ -17,7 +17,20 @@ import closed_loop
 import law_machines as machines
 import numpy as np
 from law_machines import KINDS, ODD, SYSTEMS, Kind, Law, make_data
-from study import STATES, Array, Json, answers, diagnosed, holds, numbered, options, save, written
+from study import (
+    STATES,
+    Array,
+    Json,
+    answers,
+    diagnosed,
+    holds,
+    judged,
+    numbered,
+    options,
+    save,
+    table,
+    written,
+)
 
 PATHS = {
     "hexacopter": ("waypoints", "circle", "sines", "waypoints"),
@@ -136,22 +149,22 @@ def case(machine: str, weaker: float, seed: int, i: int) -> Json:
         return law
 
     law, found, answer = written(read, SYSTEMS[machine])
-    truth = None if law is None else {"law": law.kind.text, "c1": law.size, "k1": law.shape}
-    out: Json = {"case": i, "machine": machine, "truth": truth, **answer}
-    out["laws"] = [name for name in answer["added"] if "=" in name]
+    named = [name for name in answer["added"] if "=" in name]
     if law is None:
-        return out | {"named": not out["added"], "false_law": bool(out["laws"]), "surely_wrong": out["sure"]}
+        return {"kind": f"{machine}: nothing", "false_law": bool(named), **judged(answer, {})}
     start = {"c1": law.size, **({"k1": law.shape} if law.kind.shape is not None else {})}
     oracle = diagnosed(logs[0], SYSTEMS[machine], effects={law.kind.text: start}, max_effects=0)[0].content()
-    content = found.content()
-    same = [name for name in out["laws"] if _same(found, name, law)]
-    return out | {
-        "moves": _ratio(content["errors"]["before"], oracle["errors"]["after"]),
-        "there": bool(same),
-        "named": len(same) == 1 and len(out["added"]) == 1,
-        "false_law": any(name not in same for name in out["laws"]),
-        "surely_wrong": [name for name in out["sure"] if name not in same],
-        "held": None if not same else _held(found, same[0], law, out["parameters"]),
+    same = {name: {} for name in named if _same(found, name, law)}
+    held = _held(found, next(iter(same)), law, answer["parameters"]) if same else None
+    alone = len(same) == len(answer["added"]) == 1
+    return {
+        **judged(answer, same, right=alone),
+        "alone": alone,
+        "truth": {law.kind.text: {"c1": law.size, "k1": law.shape}},
+        "there": list(same),
+        "moves": _ratio(found.content()["errors"]["before"], oracle["errors"]["after"]),
+        "false_law": any(name not in same for name in named),
+        "inside": [0, 0] if held is None else [int(held), 1],
     }
 
 
@@ -202,42 +215,13 @@ def _held(found: Any, name: str, law: Law, parameters: Json) -> bool | None:
     return holds({"interval_90": said["interval_90"]}, size)
 
 
-def table(done: list[Json]) -> list[str]:
-    out = []
-    for machine in dict.fromkeys(d["machine"] for d in done):
-        own = [d for d in done if d["machine"] == machine]
-        laws, nulls = [d for d in own if d["truth"]], [d for d in own if not d["truth"] and "error" not in d]
-        there = [d for d in laws if d.get("there")]
-        held = [d["held"] for d in there if d["held"] is not None]
-
-        def count(some: list[Json], key: str) -> str:
-            return f"{sum(bool(d.get(key)) for d in some)}"
-
-        out.append(
-            f"{machine}: {count(laws, 'named')} of {len(laws)} laws named alone, {len(there)} named, "
-            f"{sum(held)} of {len(held)} sizes in their interval, "
-            f"{count(laws, 'false_law')} with a false law, {count(laws, 'surely_wrong')} with anything wrong that "
-            f"is no lead; of {len(nulls)} nulls {count(nulls, 'laws')} with a law, {count(nulls, 'added')} with any "
-            f"effect; median {np.median([d['seconds'] for d in own if 'seconds' in d]):.0f} s"
-        )
-    return out
-
-
-def line(answer: Json) -> str:
-    keys = ("named", "leads", "surely_wrong", "held", "moves", "seconds", "error")
-    return f"{answer['case']} {answer['truth']} -> {answer['added']} { {k: answer.get(k) for k in keys} }"
-
-
 def main() -> None:
     parser = options(__doc__, "seed", "out", first=0, count=12)
     parser.add_argument("--machine", choices=[m for m in KINDS if m not in ODD], required=True)
     parser.add_argument("--weaker", type=float, default=1.0, help="how many times weaker laws are made")
     a = parser.parse_args()
-    cases = numbered(a, partial(case, a.machine, a.weaker), a.machine, machine=a.machine, added=[], laws=[])
-    for _, _, wrong in cases:
-        kind = drawn(a.machine, a.seed, wrong["case"])[1]
-        wrong["truth"] = None if kind is None else {"law": kind.text}
-    print("\n".join(table(answers(a.out, cases, line))))
+    cases = numbered(a, partial(case, a.machine, a.weaker), a.machine)
+    table(answers(a.out, cases), also=["there", "false_law"])
 
 
 if __name__ == "__main__":

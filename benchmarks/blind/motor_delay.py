@@ -51,7 +51,7 @@ def judged(seed: int) -> Json:
     logs = []
 
     def write(folder: Path) -> float:
-        truth = machines.write("quadrotor_lag", seed, folder)["motor_lag.time_constant"]
+        truth = machines.write("quadrotor_lag", seed, folder)["motor_lag"]["time_constant"]
         logs.append(nsde_torch.read(folder, system="quadrotor"))
         return truth
 

@@ -177,17 +177,19 @@ def _matrix(q: Array) -> Array:
     return out.reshape(3, 3)
 
 
-Drawn = tuple[Machine, dict[str, float]]
+Drawn = tuple[Machine, dict[str, dict[str, float]]]
 Kind = Callable[[np.random.Generator], Drawn]
-"""Draws a machine; the truth is names of effects, or of their parameters, with values (nan: no value of ours)."""
+"""Draws a machine; the truth is effects with values of their parameters, where they are ours."""
 
 
-def _joint(joint: str, over: float, attribute: str, low: float, high: float, name: str) -> Kind:
+def _joint(
+    joint: str, over: float, attribute: str, low: float, high: float, effect: str, parameter: str
+) -> Kind:
     """An attribute of a joint; as the package tells it, it is over the mass or the inertia."""
 
     def make(rng: np.random.Generator) -> Drawn:
         size = float(rng.uniform(low, high))
-        return Machine(model={joint: f'{attribute}="{size}"'}), {name: size / over}
+        return Machine(model={joint: f'{attribute}="{size}"'}), {effect: {parameter: size / over}}
 
     return make
 
@@ -196,10 +198,10 @@ _rail = partial(_joint, "rail", CartOnRail.total)
 _pivot = partial(_joint, "pivot", CartOnRail.inertia)
 
 
-def _slow(name: str, low: float, high: float) -> Kind:
+def _slow(effect: str, low: float, high: float) -> Kind:
     def make(rng: np.random.Generator) -> Drawn:
         lag = float(rng.uniform(low, high))
-        return Machine(lag=lag), {name: lag}
+        return Machine(lag=lag), {effect: {"time_constant": lag}}
 
     return make
 
@@ -207,7 +209,7 @@ def _slow(name: str, low: float, high: float) -> Kind:
 def _late(low: int, high: int) -> Kind:
     def make(rng: np.random.Generator) -> Drawn:
         steps = int(rng.integers(low, high + 1))
-        return Machine(delay=steps), {"input_delay.delay": steps * STEP}
+        return Machine(delay=steps), {"input_delay": {"delay": steps * STEP}}
 
     return make
 
@@ -215,19 +217,20 @@ def _late(low: int, high: int) -> Kind:
 def _tilted(rng: np.random.Generator) -> Drawn:
     turn = float(rng.uniform(0.02, 0.06) * rng.choice([-1.0, 1.0]))
     gravity = f"{-9.8 * np.sin(turn)} 0 {-9.8 * np.cos(turn)}"
-    return Machine(model={"gravity": gravity}), {"track_tilt.slope": float(np.tan(turn))}
+    return Machine(model={"gravity": gravity}), {"track_tilt": {"slope": float(np.tan(turn))}}
 
 
 def _two(rng: np.random.Generator) -> Drawn:
     friction, lag = float(rng.uniform(0.15, 0.45)), float(rng.uniform(0.03, 0.08))
-    truth = {"coulomb_friction[cart].size": friction / CartOnRail.total, "actuator_lag.time_constant": lag}
+    truth = {"coulomb_friction[cart]": {"size": friction / CartOnRail.total}}
+    truth["actuator_lag"] = {"time_constant": lag}
     return Machine(lag=lag, model={"rail": f'frictionloss="{friction}"'}), truth
 
 
 def _weak(rng: np.random.Generator) -> Drawn:
     motor, left = int(rng.integers(4)), float(rng.uniform(0.8, 0.93))
     strength = [left if i == motor else 1.0 for i in range(4)]
-    return Machine(strength=strength), {f"motor_efficiency_loss.loss[{motor}]": 1.0 - left}
+    return Machine(strength=strength), {"motor_efficiency_loss": {f"loss[{motor}]": 1.0 - left}}
 
 
 _IN_AIR = 'fluidshape="ellipsoid" fluidcoef="0.5 0.25 0.4 0 0"'
@@ -235,29 +238,29 @@ _IN_AIR = 'fluidshape="ellipsoid" fluidcoef="0.5 0.25 0.4 0 0"'
 
 def _drag(rng: np.random.Generator) -> Drawn:
     air = f'density="{float(rng.uniform(2.0, 4.0))}"'
-    return Machine(model={"air": air, "body": _IN_AIR}), {"quadratic_drag": float("nan")}
+    return Machine(model={"air": air, "body": _IN_AIR}), {"quadratic_drag": {}}
 
 
 KINDS: dict[str, tuple[type[CartOnRail] | type[QuadrotorOnPath], Kind]] = {
     "cart_nothing": (CartOnRail, lambda rng: (Machine(), {})),
-    "cart_friction": (CartOnRail, _rail("frictionloss", 0.1, 0.5, "coulomb_friction[cart].size")),
-    "cart_damping": (CartOnRail, _rail("damping", 0.1, 0.6, "viscous_friction[cart].damping")),
-    "cart_spring": (CartOnRail, _rail("stiffness", 0.8, 4.0, "linear_spring[cart].stiffness")),
-    "cart_lag": (CartOnRail, _slow("actuator_lag.time_constant", 0.03, 0.1)),
+    "cart_friction": (CartOnRail, _rail("frictionloss", 0.1, 0.5, "coulomb_friction[cart]", "size")),
+    "cart_damping": (CartOnRail, _rail("damping", 0.1, 0.6, "viscous_friction[cart]", "damping")),
+    "cart_spring": (CartOnRail, _rail("stiffness", 0.8, 4.0, "linear_spring[cart]", "stiffness")),
+    "cart_lag": (CartOnRail, _slow("actuator_lag", 0.03, 0.1)),
     "cart_delay": (CartOnRail, _late(25, 80)),
     "cart_tilt": (CartOnRail, _tilted),
     "cart_two": (CartOnRail, _two),
-    "pole_friction": (CartOnRail, _pivot("frictionloss", 0.003, 0.012, "coulomb_friction[pole].size")),
-    "pole_damping": (CartOnRail, _pivot("damping", 0.002, 0.012, "viscous_friction[pole].damping")),
+    "pole_friction": (CartOnRail, _pivot("frictionloss", 0.003, 0.012, "coulomb_friction[pole]", "size")),
+    "pole_damping": (CartOnRail, _pivot("damping", 0.002, 0.012, "viscous_friction[pole]", "damping")),
     "quadrotor_nothing": (QuadrotorOnPath, lambda rng: (Machine(), {})),
-    "quadrotor_lag": (QuadrotorOnPath, _slow("motor_lag.time_constant", 0.025, 0.06)),
+    "quadrotor_lag": (QuadrotorOnPath, _slow("motor_lag", 0.025, 0.06)),
     "quadrotor_delay": (QuadrotorOnPath, _late(15, 35)),
     "quadrotor_weak": (QuadrotorOnPath, _weak),
     "quadrotor_drag": (QuadrotorOnPath, _drag),
 }
 
 
-def write(kind: str, seed: int, folder: Path, runs: int = 3) -> dict[str, float]:
+def write(kind: str, seed: int, folder: Path, runs: int = 3) -> dict[str, dict[str, float]]:
     """Write the runs of a machine as CSV files; returns its truth."""
     of, make = KINDS[kind]
     rng = np.random.default_rng([seed, list(KINDS).index(kind)])

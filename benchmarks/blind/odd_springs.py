@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from study import Array, Json, answers, in_turn, options, save, tied, written
+from study import Array, Json, answers, in_turn, judged, options, save, table, written
 
 STEP, INNER = 0.01, 200
 GAIN, STIFFNESS, DAMPING = 1.2, 5.0, 0.4
@@ -154,28 +154,16 @@ def write(name: str, seed: int, folder: Path, runs: int = 3) -> Kind:
     return kind
 
 
-def diagnosed(name: str, seed: int) -> Json:
+def case(name: str, seed: int) -> Json:
     kind, found, answer = written(lambda folder: write(name, seed, folder), "mass_spring_damper")
     recording = [f.sentence for f in found.recorded.faults]
-    return {"kind": name, "seed": seed, "may": kind.may, **answer, "recording": recording}
-
-
-def judge(answer: Json) -> str:
-    """Add to an answer what is surely wrong; returns a line."""
-    named = answer["added"] if answer.get("verdict") != "unexplained" else []
-    sure = [n for n in named if n not in answer["leads"] and n not in tied(answer)]
-    answer["surely wrong"] = [n for n in sure if n not in answer["may"]]
-    parts = {"SURELY WRONG": answer["surely wrong"], "leads": answer["leads"], "": answer.get("recording")}
-    told = "".join(f"; {of} {', '.join(some)}" for of, some in parts.items() if some)
-    what = answer.get("error") or f"{answer['verdict']}: {', '.join(answer['added']) or 'nothing'}"
-    return f"{answer['kind']:16} {what}{told} ({answer.get('seconds', math.nan):.0f} s)"
+    return {**judged(answer, {name: {} for name in kind.may}), "recording": recording}
 
 
 def main() -> None:
     names = list(kinds(np.random.default_rng(0)))
     args = options(__doc__, "seed", "out", first=0, count=len(names)).parse_args()
-    done = answers(args.out, in_turn(args, names, diagnosed, may=(), added=[], leads=[], ties=[]), judge)
-    print(f"\n{sum(bool(a['surely wrong']) for a in done)} of {len(done)} surely wrong")
+    table(answers(args.out, in_turn(args, names, case)))
 
 
 if __name__ == "__main__":

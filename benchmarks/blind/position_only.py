@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 from small_machines import RATES, Law, cart, measured, rates, spring
-from study import Array, Json, answers, diagnosed, held, inside, numbered, options, save
+from study import Array, Json, answers, diagnosed, judged, numbered, options, save, table
 from two_joints import SYSTEM as JOINTS
 from two_joints import drawn, laws, make_data
 
@@ -97,20 +97,13 @@ def case(seed: int, i: int, *, full: bool) -> Json:
     system, truth, data, told = recorded(seed, i, full=full)
     found, answer = diagnosed(data, system)
     effects = [f for f in found.content()["findings"] if f["kind"] == "effect"]
-    added, sure = [f["name"] for f in effects], [f["name"] for f in effects if not f["lead"]]
-    return {
-        **{**answer, "case": i, "system": system, "full": full, **told, "truth": truth, "added": added},
-        "inferred": sorted({n for run in data.runs for n in run.inferred}),
-        "named": added[:1] == list(truth)[:1] if truth else not sure,
-        "wrong_and_sure": [n for n in sure if n not in truth],
-        "inside": held(truth, answer["parameters"]),
-    }
-
-
-def line(answer: Json) -> str:
-    keys = ("named", "truth", "added", "rate", "verdict", "inside", "error")
-    what = "full" if answer["full"] else "position"
-    return f"{answer['case']} {what} { {k: answer.get(k) for k in keys} }"
+    answer["added"], answer["sure"] = (
+        [f["name"] for f in effects],
+        [f["name"] for f in effects if not f["lead"]],
+    )
+    right = None if truth else not answer["sure"]
+    inferred = sorted({n for run in data.runs for n in run.inferred})
+    return {"system": system, **told, "inferred": inferred, **judged(answer, truth, right=right)}
 
 
 def identified(seed: int, i: int) -> Json:
@@ -149,21 +142,12 @@ def main() -> None:
     parser.add_argument("--values", action="store_true", help="values where the laws are given")
     a = parser.parse_args()
     if a.values:
-        keys = ("case", "system", "off", "error")
-        cases = numbered(a, identified, off={})
-        report_values(answers(a.out, cases, lambda x: " ".join(str(x.get(k, "")) for k in keys)))
+        keys, cases = ("system", "off", "error"), numbered(a, identified)
+        say = lambda x: " ".join(str(x.get(k, "")) for k in keys)  # noqa: E731
+        report_values(answers(a.out, cases, say, {"off": {}}))
         return
-    cases = []
-    for full in (False, True):
-        ending, wrong = "full" if full else "position", {"full": full, "named": False, "inside": [0, 0]}
-        some = numbered(a, partial(case, full=full), **wrong)
-        cases += [(f"{name}_{ending}", *rest) for name, *rest in some]
-    done = answers(a.out, cases, line)
-    for full in (False, True):
-        some = [x for x in done if x["full"] == full]
-        wrong_ones = sum(bool(x.get("wrong_and_sure")) for x in some)
-        said = f"named {sum(x['named'] for x in some)} of {len(some)}, intervals hold {inside(some)}"
-        print(f"{'full' if full else 'position'} {said}, wrong and sure {wrong_ones}")
+    kinds = ("position", False), ("full", True)
+    table(answers(a.out, [c for kind, full in kinds for c in numbered(a, partial(case, full=full), kind)]))
 
 
 if __name__ == "__main__":

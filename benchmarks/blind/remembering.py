@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 from small_machines import step, sums_of_sines
-from study import Array, diagnosed, options
+from study import Array, Json, answers, diagnosed, judged, numbered, options, table
 
 from nsde_torch.data.raw import RawRun
 
@@ -76,27 +76,24 @@ def run(kind: str, values: dict[str, float], rng: np.random.Generator) -> tuple[
     return out + rng.standard_normal(out.shape) * [NOISE, 10.0 * NOISE], u[:, None]
 
 
+def case(seed: int, i: int) -> Json:
+    rng = np.random.default_rng([seed, i])
+    kind = list(RIGHT)[i % len(RIGHT)]
+    values = {"k": rng.uniform(2, 6), "b": rng.uniform(0.2, 0.6), "g": rng.uniform(0.8, 1.6)}
+    values |= {"size": rng.uniform(0.25, 0.6), "reach": rng.uniform(0.03, 0.25)}
+    values["slow"] = float(np.exp(rng.uniform(np.log(0.15), np.log(2.0))))
+    values["time"] = float(rng.uniform(0.1, 0.4) if kind == "play" else rng.uniform(0.02, 0.06))
+    runs = []
+    for n in range(4):
+        x, u = run(kind, values, np.random.default_rng([seed, i, n]))
+        runs.append(RawRun(f"run_{n}", DT * np.arange(len(x)) + 100.0 * n, x, u))
+    true = {RIGHT[kind]: {}} if RIGHT[kind] else {}
+    return {"kind": kind, "values": values, **judged(diagnosed(runs, "mass_spring_damper")[1], true)}
+
+
 def main() -> None:
-    a = options(__doc__, "seed", count=12).parse_args()
-    right = 0
-    for i in range(a.count):
-        rng = np.random.default_rng([a.seed, i])
-        kind = list(RIGHT)[i % len(RIGHT)]
-        values = {"k": rng.uniform(2, 6), "b": rng.uniform(0.2, 0.6), "g": rng.uniform(0.8, 1.6)}
-        values |= {"size": rng.uniform(0.25, 0.6), "reach": rng.uniform(0.03, 0.25)}
-        values["slow"] = float(np.exp(rng.uniform(np.log(0.15), np.log(2.0))))
-        values["time"] = float(rng.uniform(0.1, 0.4) if kind == "play" else rng.uniform(0.02, 0.06))
-        runs = []
-        for n in range(4):
-            x, u = run(kind, values, np.random.default_rng([a.seed, i, n]))
-            runs.append(RawRun(f"run_{n}", DT * np.arange(len(x)) + 100.0 * n, x, u))
-        _, found = diagnosed(runs, "mass_spring_damper")
-        good = found["added"][:1] == [RIGHT[kind]] if RIGHT[kind] else not found["added"]
-        right += good
-        told = {k: [v["value"], v["interval_90"]] for k, v in found["parameters"].items()}
-        said = f"{values} -> {found['verdict']} {found['added']} {told}"
-        print(i, kind, "right" if good else "WRONG", said, flush=True)
-    print(f"right {right} of {a.count}")
+    a = options(__doc__, "seed", first=0, count=12, out=None).parse_args()
+    table(answers(a.out, numbered(a, case)))
 
 
 if __name__ == "__main__":

@@ -9,13 +9,12 @@ predicts the same runs left out, and `blind/table.md` says how often the answers
 """
 
 import traceback
-from collections.abc import Sequence
 from functools import partial
 from math import prod
 from pathlib import Path
 
 import study
-from study import Json, answered, held, line, markdown, truth_of
+from study import Json, answered, held, line, markdown, shares, truth_of
 
 MOVES = 1.1
 """Ratio of errors without and with the true effect from which a case counts as visible."""
@@ -39,8 +38,6 @@ def diagnose_case(folder: Path, name: str) -> Json:
     found, answer = study.diagnosed(data, truth["system"])
     content = found.content()
     answer |= {key: content[key] for key in ("findings", "errors")}
-    answer["structure"] = content["structure"]["after"][:3]
-    answer["ranking"] = [r for r in content["ranking"] if r["p"] is not None][:6]
     classes = {cls.name: f"outside:{cls.__name__}" for every in OUTSIDE.values() for cls in every}
     effects = {classes.get(key, key): of["parameters"] for key, of in truth["effects"].items()}
     joint = found.outcome.joint
@@ -83,7 +80,6 @@ def judge(truth: Json, answer: Json) -> Json:
     of_added = [tie for tie in answer.get("ties", []) if tie["effects"][0] in added]
     parts = {part for tie in of_added for name in tie["effects"] for part in name.split(" + ")}
     effects = {key: of["parameters"] for key, of in truth["effects"].items()}
-    inside, intervals = held(effects, answer.get("parameters", {}))
     out: Json = {
         "kind": case["kind"],
         "system": truth["system"],
@@ -95,8 +91,7 @@ def judge(truth: Json, answer: Json) -> Json:
         "exact": sorted(added) == sorted(names),
         "in_tie": {*names} <= {*added, *parts},
         "lead": any(f["lead"] for f in answer.get("findings", [])) or bool(answer.get("ties")),
-        "inside": inside,
-        "intervals": intervals,
+        "inside": held(effects, answer.get("parameters", {})),
         "seconds": answer.get("seconds", 0.0),
     }
     errors = answer.get("errors", {})
@@ -117,35 +112,25 @@ def _good(j: Json) -> bool:
 
 def table(judged: dict[str, Json]) -> str:
     """Shares of right answers by system, and every case that went wrong."""
-    rows: list[Sequence[object]] = []
-    for system in ["all", *sorted({j["system"] for j in judged.values()})]:
-        mine = [j for j in judged.values() if system in ("all", j["system"])]
-        kinds = {kind: [j for j in mine if j["kind"] == kind] for kind in KINDS}
-        visible, pairs = ([j for j in kinds[k] if j.get("moves", 1.0) > MOVES] for k in ("single", "pair"))
-        out = kinds["outside"]
-        seen = [j for j in out if j.get("gain", 1.0) > MOVES or j["verdict"] != "no_effect"]
-        first = [j for j in visible if j["first"]]
-        near = [j for j in first if "beside_oracle" in j]
-        for what, cases, right in (
-            ("single effect that moves errors by 10 %: named first", visible, lambda j: j["first"]),
-            ("the same: named first or tied", visible, lambda j: j["first"] or j["in_tie"]),
-            ("the same: named, and nothing else", visible, lambda j: j["exact"]),
-            ("pairs: both found", pairs, lambda j: set(j["true"]) <= set(j["added"])),
-            ("nothing missing: silent", kinds["null"], lambda j: j["verdict"] == "no_effect"),
-            ("outside the catalogue: the law, unexplained, or a lead that helps", out, _good),
-            ("the same, where it moves errors by 10 %", seen, _good),
-            ("recording chain: named", kinds["recording"], lambda j: j["first"] or j["in_tie"]),
-            ("error within 5 % of the oracle's", near, lambda j: j["beside_oracle"] < NEAR),
-        ):
-            if cases:
-                count = sum(map(right, cases))
-                rows.append((what, system, len(cases), count, f"{count / len(cases):.0%}"))
-        inside, total = sum(j["inside"] for j in first), sum(j["intervals"] for j in first)
-        if total:
-            rows.append(("90 % intervals that hold", system, total, inside, f"{inside / total:.0%}"))
-        seconds = sorted(j["seconds"] for j in mine)
-        rows.append(("seconds a case, median", system, len(mine), f"{seconds[len(seconds) // 2]:.0f}", ""))
-    lines = [*markdown(("what", "system", "cases", "right", "share"), rows), ""]
+    kinds = {kind: [j for j in judged.values() if j["kind"] == kind] for kind in KINDS}
+    visible, pairs = ([j for j in kinds[k] if j.get("moves", 1.0) > MOVES] for k in ("single", "pair"))
+    out, first = kinds["outside"], [j for j in visible if j["first"]]
+    seen = [j for j in out if j.get("gain", 1.0) > MOVES or j["verdict"] != "no_effect"]
+    near = [j for j in first if "beside_oracle" in j]
+    asked = [
+        ("single effect that moves errors by 10 %: named first", visible, lambda j: j["first"]),
+        ("the same: named first or tied", visible, lambda j: j["first"] or j["in_tie"]),
+        ("the same: named, and nothing else", visible, lambda j: j["exact"]),
+        ("pairs: both found", pairs, lambda j: set(j["true"]) <= set(j["added"])),
+        ("nothing missing: silent", kinds["null"], lambda j: j["verdict"] == "no_effect"),
+        ("outside the catalogue: the law, unexplained, or a lead that helps", out, _good),
+        ("the same, where it moves errors by 10 %", seen, _good),
+        ("recording chain: named", kinds["recording"], lambda j: j["first"] or j["in_tie"]),
+        ("error within 5 % of the oracle's", near, lambda j: j["beside_oracle"] < NEAR),
+        ("90 % intervals that hold", first, lambda j: j["inside"]),
+    ]
+    seconds = sorted(j["seconds"] for j in judged.values()) or [0.0]
+    lines = [*shares(asked, "system"), "", f"seconds a case, median: {seconds[len(seconds) // 2]:.0f}", ""]
     head = ("case", "kind", "system", "noise", "true", "answer", "verdict", "moves", "gain")
     lines += markdown(head, [])
     for name, j in sorted(judged.items()):

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 from small_machines import Small, columns, run
-from study import Json, answers, diagnosed, in_turn, options, save
+from study import Json, answers, diagnosed, in_turn, options, save, table
 
 SPRING, CART = "mass_spring_damper", "cartpole"
 MACHINES = {
@@ -167,16 +167,16 @@ def answer_of(draw: Callable[[str, int], Made], keep: Path | None, name: str, se
     own = [(k, p) for k in own_keys if (p := answer["parameters"][k]).get("run") and p["interval_90"]]
     moments = [(case.moments[int(run[4:])], *times) for run, times in content["data"]["moments"].items()]
     return {
-        **{"kind": name, "seed": seed, "verdict": answer["verdict"], "seconds": answer["seconds"]},
+        **{"verdict": answer["verdict"], "seconds": answer["seconds"], "parameters": {}},
+        "truth": {name: {} for name in sorted(wanted)},
         "moments": [[round(v % 100, 2) for v in times] for times in moments],
         "each": [round(v, 4) for v in case.each],
-        "found": sorted(named),
+        "added": sorted(named),
         "leads": sorted(named - sure),
-        "exact": sure == named == wanted,
-        "right": case.kind.effect in sure or not wanted,
+        "alone": sure == named == wanted,
+        "right": case.kind.effect in sure if wanted else not named,
         "wrong": sorted(sure - wanted),
-        "held": sum(_holds(key, p, case) for key, p in own),
-        "intervals": len(own),
+        "inside": [sum(_holds(key, p, case) for key, p in own), len(own)],
     }
 
 
@@ -196,29 +196,6 @@ def _holds(key: str, p: Mapping[str, Any], case: Made) -> bool:
     return bool(low <= true <= high)
 
 
-def line(answer: Json) -> str:
-    if "error" in answer:
-        return f"{answer['kind']} {answer['seed']}: {answer['error']}"
-    leads = f"; leads {', '.join(answer['leads'])}" if answer["leads"] else ""
-    grade = "exact" if answer["exact"] else "right" if answer["right"] else "NOT  "
-    found = ", ".join(answer["found"]) or "nothing"
-    return (
-        f"{answer['kind']:18} {answer['seed']} {grade} {answer['held']}/{answer['intervals']} {answer['verdict']}: "
-        f"{found}{leads} {answer['each']} {answer['moments'] or ''} ({answer['seconds']:.0f} s)"
-    )
-
-
-def table(rows: list[Json]) -> str:
-    some = [r for r in rows if KINDS[r["kind"]].effect]
-    nulls = [r for r in rows if not KINDS[r["kind"]].effect]
-    exact, right, held, count = (sum(r[k] for r in some) for k in ("exact", "right", "held", "intervals"))
-    silent, wrong = sum(not r["found"] for r in nulls), sum(bool(r["wrong"]) for r in rows)
-    return (
-        f"\nnamed and nothing else {exact} of {len(some)}, named {right}; nothing named of nulls {silent} of "
-        f"{len(nulls)}; surely wrong {wrong}; intervals that hold {held} of {count}"
-    )
-
-
 def trained(name: str, seed: int) -> Json:
     """Simulate a case, train on the first runs, and score the others."""
     import nsde_torch
@@ -231,8 +208,6 @@ def trained(name: str, seed: int) -> Json:
     coverage = metrics["test"]["coverage"]["0.9"]
     horizons = sorted({h for by in coverage.values() for h in by}, key=float)
     return {
-        "kind": name,
-        "seed": seed,
         "each": [round(v, 4) for v in case.each],
         "found": {k: v["std"] for k, v in metrics.get("between_runs", {}).items()},
         "networks": {k: v["variables"] for k, v in metrics["innovations"]["networks"].items() if v["kept"]},
@@ -244,12 +219,12 @@ def trained(name: str, seed: int) -> Json:
 
 def line_of_trained(answer: Json) -> str:
     if "error" in answer:
-        return f"{answer['kind']} {answer['seed']}: {answer['error']}"
+        return str(answer["error"])
     held = ", ".join(f"{h} s {share:.0%}" for h, share in answer["coverage"].items())
     learned = "; ".join(f"{k}: {', '.join(v)}" for k, v in answer["networks"].items())
     return (
-        f"{answer['kind']:18} {answer['seed']} {held}; differs: {', '.join(answer['found']) or 'nothing'}; sigma times "
-        f"{answer['factor']:.2f}; {answer['nll']:.2f} nats" + (f"; networks of {learned}" if learned else "")
+        f"{held}; differs: {', '.join(answer['found']) or 'nothing'}; sigma times {answer['factor']:.2f}; "
+        f"{answer['nll']:.2f} nats" + (f"; networks of {learned}" if learned else "")
     )
 
 
@@ -269,12 +244,10 @@ def main() -> None:
     parser.add_argument("--unseen", action="store_true", help="train, and score runs that were not seen")
     a = parser.parse_args()
     if a.unseen:
-        cases = in_turn(a, NAMES, trained, coverage={}, found={}, networks={})
-        print(table_of_trained(answers(a.out, cases, line_of_trained)))
+        print(table_of_trained(answers(a.out, in_turn(a, NAMES, trained), line_of_trained, {"coverage": {}})))
         return
     make = partial(answer_of, within if a.within else made, a.keep)
-    wrong: Json = {"found": [], "exact": False, "right": False, "wrong": [], "held": 0, "intervals": 0}
-    print(table(answers(a.out, in_turn(a, NAMES, make, **wrong), line)))
+    table(answers(a.out, in_turn(a, NAMES, make)))
 
 
 if __name__ == "__main__":

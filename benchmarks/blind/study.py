@@ -22,7 +22,7 @@ from threadpoolctl import threadpool_limits
 Json = dict[str, Any]
 Array = NDArray[np.float64]
 Case = tuple[str, Callable[[], Json], Json]
-"""Name of an answer, what makes it, and the answer where that ends in an error, which counts as wrong."""
+"""Name of an answer, what makes it, and what is known of it beforehand."""
 _AXES = {"p": "xyz", "v": "xyz", "q": "wxyz", "w": "xyz"}
 STATES: dict[str, tuple[str, ...]] = {
     "mass_spring_damper": ("q", "q_dot"),
@@ -97,6 +97,21 @@ def markdown(head: Sequence[Any], rows: Iterable[Sequence[Any]]) -> list[str]:
     return [line(head), "|---" * len(head) + "|", *map(line, rows)]
 
 
+def shares(asked: Iterable[tuple[str, Sequence[Json], Callable[[Json], Any]]], by: str) -> list[str]:
+    """How many cases of each question are right (or intervals hold), of all and by a key of theirs."""
+    asked = list(asked)
+    groups = ["all", *sorted({j[by] for _, cases, _ in asked for j in cases})]
+    rows = []
+    for what, cases, right in asked:
+        cells = [what]
+        for group in groups:
+            found = [right(j) for j in cases if group in ("all", j[by])]
+            pairs = [one if isinstance(one, list) else [bool(one), 1] for one in found]
+            cells.append(" of ".join(str(sum(pair[k] for pair in pairs)) for k in (0, 1)) if found else "")
+        rows.append(cells)
+    return markdown(("", *groups), rows)
+
+
 def head(*names: Any) -> None:
     print("\n".join(markdown(names, [])), flush=True)
 
@@ -168,47 +183,95 @@ def held(effects: Mapping[str, Mapping[str, Any]], parameters: Mapping[str, Any]
     return [sum(inside), len(inside)]
 
 
-def inside(answers: Iterable[Json]) -> str:
-    """Intervals that hold in all answers, of how many."""
-    some = [a["inside"] for a in answers]
-    return " of ".join(str(sum(pair[k] for pair in some)) for k in (0, 1))
+def judged(
+    answer: Json, truth: Mapping[str, Any], may: Iterable[str] = (), right: bool | None = None
+) -> Json:
+    """An answer with what it is worth where these effects are true, and others may stand for them.
+
+    It is right where the first that it names is true, or where it names nothing and nothing is.
+    """
+    true, added = {*truth, *may}, answer["added"]
+    return {
+        **answer,
+        "truth": truth,
+        "right": (added[0] in true if added else not true) if right is None else right,
+        "alone": set(added) == {*truth},
+        "wrong": [name for name in answer["sure"] if name not in true],
+        "inside": held(truth, answer["parameters"]),
+    }
 
 
-def numbered(
-    a: argparse.Namespace, make: Callable[..., Json], begin: str = "seed", **wrong: Any
-) -> list[Case]:
+ERROR: Json = {
+    **{
+        "verdict": "error",
+        "right": False,
+        "alone": False,
+        "inside": [0, 0],
+        "seconds": 0.0,
+        "parameters": {},
+    },
+    **{key: [] for key in ("added", "leads", "sure", "ties", "wrong")},
+    "truth": {"?": {}},
+}
+"""An answer that ended in an error counts as wrong."""
+
+
+def told(a: Json) -> str:
+    """What an answer says, what it is worth, and values beside the true ones."""
+    parts = {"": a["added"] or [a["verdict"]], "leads": a["leads"], "WRONG AND SURE": a["wrong"]}
+    said = "; ".join(f"{what} {', '.join(some)}".strip() for what, some in parts.items() if some)
+    for label, value in labelled(a["truth"]):
+        found = a["parameters"].get(label)
+        if found and found.get("interval_90"):
+            inside = "" if holds(found, value) else " OUTSIDE"
+            said += f"; {label} {found['value']:.4g} of {value:.4g}{inside}"
+    true = ", ".join(a["truth"]) or "nothing"
+    return f"{'right' if a['right'] else 'WRONG'}: {true} -> {a.get('error', said)} ({a['seconds']:.0f} s)"
+
+
+def table(done: Sequence[Json], also: Sequence[str] = ()) -> None:
+    """Print by kind how many answers are right, and how many intervals hold."""
+    keys = ("right", "alone", "wrong", *also)
+    head("kind", "cases", *keys, "intervals that hold", "s a case")
+    for kind in ["all", *dict.fromkeys(d["kind"] for d in done)]:
+        own = [d for d in done if kind in ("all", d["kind"])]
+        hold = " of ".join(str(sum(d["inside"][k] for d in own)) for k in (0, 1))
+        seconds = f"{np.median([d['seconds'] for d in own]):.0f}"
+        print(line([kind, len(own), *(sum(bool(d.get(k)) for d in own) for k in keys), hold, seconds]))
+
+
+def numbered(a: argparse.Namespace, make: Callable[..., Json], begin: str = "seed") -> list[Case]:
     return [
-        (f"{begin}_{a.seed}_{i:03d}", partial(make, a.seed, i), {"case": i, **wrong})
+        (f"{begin}_{a.seed}_{i:03d}", partial(make, a.seed, i), {"kind": begin, "case": i})
         for i in range(a.first, a.first + a.count)
     ]
 
 
-def in_turn(
-    a: argparse.Namespace, kinds: Sequence[str], make: Callable[..., Json], **wrong: Any
-) -> list[Case]:
+def in_turn(a: argparse.Namespace, kinds: Sequence[str], make: Callable[..., Json]) -> list[Case]:
     """Cases of kinds in turn, each round of another seed."""
     out = []
     for i in range(a.first, a.first + a.count):
         kind, seed = kinds[i % len(kinds)], a.seed + i // len(kinds)
         name = f"{kind.replace(': ', '_').replace(' ', '_')}_{seed}"
-        out.append((name, partial(make, kind, seed), {"kind": kind, "seed": seed, **wrong}))
+        out.append((name, partial(make, kind, seed), {"kind": kind, "seed": seed}))
     return out
 
 
-def answers(out: Path, cases: Iterable[Case], finish: Callable[[Json], str]) -> list[Json]:
-    """Answer cases, print a line for each, and return all answers of the folder.
-
-    `finish` adds to an answer what it is worth, and returns the line.
-    """
-    for name, make, wrong in cases:
+def answers(
+    out: Path | None, cases: Iterable[Case], say: Callable[[Json], str] = told, error: Json = ERROR
+) -> list[Json]:
+    """Answer cases, print a line for each, and return all answers of the folder, or these where there is none."""
+    done = []
+    for name, make, about in cases:
         try:
-            answer = make()
-        except Exception as error:
-            answer = {**wrong, "error": repr(error)}
-        text = finish(answer)
-        write_json(out / f"{name}.json", answer)
-        print(text, flush=True)
-    return [read_json(path) for path in sorted(out.glob("*.json"))]
+            answer = {**about, **make()}
+        except Exception as raised:
+            answer = {**error, **about, "error": repr(raised)}
+        done.append(answer)
+        if out is not None:
+            write_json(out / f"{name}.json", answer)
+        print(name, say(answer), flush=True)
+    return done if out is None else [read_json(path) for path in sorted(out.glob("*.json"))]
 
 
 def pooled(jobs: int, work: Mapping[str, Callable[[], str]]) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from small_machines import Small, columns, run
-from study import Json, answers, held, holds, inside, numbered, options, save, tied, written
+from study import Json, answers, holds, judged, numbered, options, save, table, tied, written
 
 SPRING, DAMPING = "mass_spring_damper", "viscous_friction.damping"
 RUNS, SECONDS, DT = 4, 8.0, 0.01
@@ -31,26 +31,14 @@ def case(seed: int, i: int) -> Json:
     _, _, answer = written(write, SPRING)
     truth = {"coulomb_friction": {"size": dry}, "quadratic_damping": {"damping": quadratic}}
     damping = answer["declared"][DAMPING]
-    return {
-        **{**answer, "case": i, "truth": truth},
-        "right": set(truth) <= {*answer["added"], *tied(answer)},
-        "inside": held(truth, answer["parameters"]),
-        "damping_missed": bool(damping.get("interval_90")) and not holds(damping, values["b"]),
-    }
-
-
-def line(answer: Json) -> str:
-    keys = ("right", "truth", "added", "inside", "damping_missed", "error")
-    return f"{answer['case']} { {k: answer.get(k) for k in keys} }"
+    missed = bool(damping.get("interval_90")) and not holds(damping, values["b"])
+    right = set(truth) <= {*answer["added"], *tied(answer)}
+    return {**judged(answer, truth, right=right), "damping_missed": missed}
 
 
 def main() -> None:
     a = options(__doc__, "seed", "out", first=0, count=10).parse_args()
-    wrong = {"right": False, "added": ["error"], "inside": [0, 0], "damping_missed": False}
-    done = answers(a.out, numbered(a, case, **wrong), line)
-    print(f"both named or indistinguishable: {sum(d['right'] for d in done)} of {len(done)}")
-    print("intervals that hold:", inside(done))
-    print(f"damping surely missed: {sum(d['damping_missed'] for d in done)}")
+    table(answers(a.out, numbered(a, case)), also=["damping_missed"])
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from study import Json, answers, held, inside, numbered, options, written
+from study import Json, answers, judged, numbered, options, table, written
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "examples" / "double_pendulum"))
 import make_data
@@ -73,36 +73,13 @@ def case(seed: int, i: int) -> Json:
     noise = (1.0, 0.3, 3.0)[i % 3]
     how: dict[str, Any] = {"seed": seed * 1000 + i, "runs": 4, "seconds": 12.0, "noise": noise}
     _, _, answer = written(lambda folder: make_data.write(folder, push, **how), SYSTEM)
-    inside = held(truth, answer["parameters"])
-    return {"case": i, "kind": kind, "noise": noise, "truth": truth, **answer, "inside": inside}
-
-
-def right(answer: Json) -> bool:
-    """First named is true; of a pair, both are named and nothing else; nothing of a null."""
-    truth, added = set(answer["truth"]), answer["added"]
-    if answer["kind"] == "single":
-        return bool(added) and added[0] in truth
-    return set(added) == truth
-
-
-def line(answer: Json) -> str:
-    answer["right"] = right(answer)
-    told = "right" if answer["right"] else "WRONG"
-    said = f"{list(answer['truth'])} -> {answer['added']} {answer['inside']} {answer.get('error', '')}"
-    return f"{answer['case']} {answer['kind']} {told} {said}"
+    right = set(answer["added"]) == set(truth) if kind == "pair" else None  # both, and nothing else
+    return {"kind": kind, "noise": noise, **judged(answer, truth, right=right)}
 
 
 def main() -> None:
     a = options(__doc__, "seed", "out", first=0, count=20).parse_args()
-    cases = [
-        (name, make, {**wrong, **dict(zip(("kind", "truth"), drawn(a.seed, wrong["case"])[:2], strict=True))})
-        for name, make, wrong in numbered(a, case, added=["error"], inside=[0, 0])
-    ]
-    done = answers(a.out, cases, line)
-    for kind in dict.fromkeys(KINDS):
-        own = [d for d in done if d["kind"] == kind]
-        print(f"{kind}: {sum(d['right'] for d in own)} of {len(own)} right")
-    print("intervals that hold:", inside(done))
+    table(answers(a.out, numbered(a, case)))
 
 
 if __name__ == "__main__":

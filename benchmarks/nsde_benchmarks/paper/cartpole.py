@@ -100,7 +100,7 @@ def state_evolution(
     drawn = []
     for kind, members in models.items():
         paths = rollout(members[0], x[:, 0], u, seed=seed, measurement=True, u_before=before)[:, 0]
-        drawn.append(prediction(members[0], paths, names[kind], level=0.95))
+        drawn.append(prediction(members[0], paths, names[kind]))
     s = first.system
     figure = plots.evolution(
         np.arange(windows.horizon + 1, dtype=np.float64) * dt,

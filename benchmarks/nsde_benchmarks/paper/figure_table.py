@@ -46,7 +46,6 @@ class Settings:
 
 @dataclass(frozen=True)
 class Figure:
-    about: str
     # words of `nsde train` by name; the seed is added
     trainings: Callable[[Settings], Mapping[str, list[str]]]
     draw: Callable[[Settings], ExperimentOutcome]  # makes pictures and checks once these models are there
@@ -94,7 +93,7 @@ def _spring(name: str) -> Figure:
             evolution("spring and damper are declared", "sde", "node", of="physics_"),
         )
 
-    return Figure(f"Spring from outside the data, 8 s: SDE, ODE, ensemble ({words})", trainings, draw)
+    return Figure(trainings, draw)
 
 
 _CARTPOLE_SETS = {"learned": ("on_policy", "on-policy data"), "random": ("random", "random data")}
@@ -125,11 +124,7 @@ def _cartpole_map(policy: str) -> Figure:
         assert isinstance(model, NeuralSDE)
         return uncertainty_map(model, split.train, split.test, data_name=words, seed=settings.seed)
 
-    return Figure(
-        f"Cartpole: map of the uncertainty after training on {words}",
-        lambda settings: {name: _cartpole_words(settings, policy)},
-        draw,
-    )
+    return Figure(lambda settings: {name: _cartpole_words(settings, policy)}, draw)
 
 
 def _cartpole_evolution() -> Figure:
@@ -143,7 +138,6 @@ def _cartpole_evolution() -> Figure:
         return state_evolution(models, test, seed=settings.seed)
 
     return Figure(
-        "Cartpole: state evolution of the SDE and of the ensemble on held-out episodes",
         lambda settings: {
             names["sde"]: _cartpole_words(settings, "learned"),
             names["ensemble"]: [*_cartpole_words(settings, "learned"), "model=ensemble"],
@@ -170,7 +164,7 @@ def _recorded() -> Figure:
         )
         return recorded(data, system, data_name="published flights", note=lost)
 
-    return Figure("Flight data: speed and Euler angles", lambda settings: {}, draw)
+    return Figure(lambda settings: {}, draw)
 
 
 def _identification() -> Figure:
@@ -207,7 +201,7 @@ def _identification() -> Figure:
         tests = [held_out(f).test for f in folders]
         return against_identification(models, tests, data_name=data, note=note, seed=settings.seed)
 
-    return Figure("Hexacopter: SDE against system ID on held-out flights", trainings, draw)
+    return Figure(trainings, draw)
 
 
 def _policies(kinds: tuple[str, ...], title: str, source: str) -> Figure:
@@ -220,7 +214,7 @@ def _policies(kinds: tuple[str, ...], title: str, source: str) -> Figure:
             return ExperimentOutcome(title, source, checks=[missing])
         return learned_in(settings.policies, kinds, title=title, source=source)
 
-    return Figure(title, lambda settings: {}, draw)
+    return Figure(lambda settings: {}, draw)
 
 
 def held_out(folder: Path) -> Split:

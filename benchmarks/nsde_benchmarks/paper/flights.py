@@ -1,7 +1,6 @@
 """Figures 15 and 16 of the supplement: what the flights hold, and the neural SDE against system identification."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 import torch
@@ -62,18 +61,14 @@ def against_identification(
     scores = {
         k: [evaluate(m, t, seed=seed) for m, t in zip(ms, tests, strict=True)] for k, ms in models.items()
     }
-    groups = scores["sde"][0]["units"]
-    horizons = scores["sde"][0]["horizons_s"]
-
-    def mean(results: Sequence[Any], group: str, h: float) -> float:
-        return float(np.mean([r["errors"]["model"][group][f"{h:g}"] for r in results]))
-
-    values = {
-        kind: {g: {f"{h:g}": mean(results, g, h) for h in horizons} for g in groups}
-        for kind, results in scores.items()
-    }
+    groups, horizons = (scores["sde"][0][key] for key in ("units", "horizons_s"))
+    keys = [f"{h:g}" for h in horizons]
+    values: dict[str, dict[str, dict[str, float]]] = {}
+    for kind, results in scores.items():
+        errors = [r["errors"]["model"] for r in results]
+        values[kind] = {g: {h: float(np.mean([e[g][h] for e in errors])) for h in keys} for g in groups}
     checks = []
-    for key in (f"{h:g}" for h in horizons if h >= _FROM_S):
+    for key in (key for key in keys if float(key) >= _FROM_S):
         pairs = {g: (values["sde"][g][key], values["sysid"][g][key]) for g in groups}
         checks.append(errs_less(key, "system ID", pairs, groups))
     return ExperimentOutcome(
@@ -113,7 +108,7 @@ def _evolution(
             low, high = np.quantile(states, [0.025, 0.975], axis=0)
             drawn.append(PredictionBand(names[kind], states.mean(0), low, high))
         else:
-            mean = prediction(members[0], paths, names[kind], level=0.95, interval=False).mean
+            mean = prediction(members[0], paths, names[kind], interval=False).mean
             drawn.append(PredictionBand(names[kind], shown(mean)))
     return plots.evolution(
         np.arange(windows.horizon + 1, dtype=np.float64) * dt,

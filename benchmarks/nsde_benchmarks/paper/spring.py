@@ -19,7 +19,6 @@ from .outcome import Check, ExperimentOutcome, prediction, rollout
 START = (0.15, -0.15)
 SECONDS = 8.0
 _A = np.array([[0.0, 1.0], [-1.0, -0.5]])
-_LEVEL = 0.95
 _LOST = 100.0
 """An error this many times as large as the motion is not worth a number."""
 
@@ -41,7 +40,7 @@ def state_evolution(models: Mapping[str, Sequence[Model]], *, title: str, seed: 
             truth = np.asarray([expm(_A * s) @ START for s in t], dtype=np.float64)
             x0 = torch.tensor([START]).to(model.clock_scale)
             paths = rollout(model, x0, x0.new_zeros(1, steps, 1), seed=seed, measurement=False)[:, 0]
-            p = prediction(model, paths, names[kind], level=_LEVEL, interval=kind != "ode")
+            p = prediction(model, paths, names[kind], interval=kind != "ode")
             size = np.sqrt((truth**2).mean(0))
             error = (p.mean - truth) / size
             finite = np.isfinite(error).all(1)

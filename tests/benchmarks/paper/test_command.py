@@ -30,7 +30,7 @@ def tiny_figure(words: list[str]) -> figure_table.Figure:
         figure = learning_curves([{"step": 0.0, "validation": 1.0}, {"step": 1.0, "validation": 0.5}], kept=1)
         return ExperimentOutcome("Tiny", "nothing", checks=[check], figures={"curve": figure})
 
-    return figure_table.Figure("tiny", lambda settings: {"tiny": words}, draw)
+    return figure_table.Figure(lambda settings: {"tiny": words}, draw)
 
 
 @pytest.fixture

@@ -8,8 +8,7 @@ until they do not tell the members apart (less than 3 nats), as ties of a diagno
 designed from the runs alone, as long as one of them and within `--wider` times what they held, flown once by the
 plant of the package, and fitted with the runs; the usual ones are flown beside it, each at the size that its own design
 judged best. An experiment breaks the tie where it brings the truth more than 3 nats against the other member. An
-oracle, a longer search that knows the truth, says which ties nothing breaks. One line of JSON a case; `--report` sums
-up a folder.
+oracle, a longer search that knows the truth, says which ties nothing breaks. `--count 0` sums up a folder.
 
 Kinds of springs and carts are `bias` (dry friction with a force, or of unequal size), `late` (a lag or a delay) and
 `drag` (in proportion to speed, or its square). Quadrotors fly in closed loop, in gusts of their own, by a cascade that
@@ -18,7 +17,6 @@ knows the declared physics alone. Their kinds are `drag`, `late`, `weak` (one we
 """
 
 import contextlib
-import json
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -28,7 +26,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from study import Array, Json, options
+from study import Array, Json, answers, labelled, options
 
 import nsde_torch
 from nsde_torch.data import Run
@@ -57,13 +55,9 @@ class Oracle:
         self.limits, self._start, self._drive = e.limits, e.start, drive
         self._rollouts = Rollouts(member.system, dt=member.log.dt)
         self._pair = Separation(member, e.members[1 - right])
-        known = {f"{effect}.{name}": value for effect, own in truth.items() for name, value in own.items()}
+        known = dict(labelled(truth))
         for i, label in enumerate(member.vector.labels):
-            indexed = label.endswith("]") and label not in known
-            name, _, axis = label.partition("[") if indexed else (label, "", "")
-            if name in known:
-                value = np.atleast_1d(np.asarray(known[name], dtype=np.float64))
-                self._theta[i] = value[int(axis[:-1]) if axis else 0]
+            self._theta[i] = known.get(label, self._theta[i])
 
     def judge(self, tables: Array) -> Judged:
         c = len(tables)
@@ -281,7 +275,7 @@ def one(name: str, kind: str, seed: int, wider: float) -> Json:
     truth = both[right]
     system = system_options(machine.name, declared=machine.declared).make()
     question = Question(tuple(tuple(system.effect_key(e) for e in m) for m in both))
-    out: Json = {"machine": name, "kind": kind, "seed": seed, "truth": list(truth), "sizes": truth}
+    out: Json = {"machine": name, "seed": seed, "truth": list(truth), "sizes": truth}
     for size, duration, noise in np.array(machine.ladder, dtype=float).tolist():
         runs = machine.runs(truth, size, duration, noise, seed)
         members = members_of(system, runs, question, {}, clock=1.0)
@@ -309,18 +303,16 @@ def one(name: str, kind: str, seed: int, wider: float) -> Json:
     return out | {"plans": plans, "seconds": time.perf_counter() - began}
 
 
-def report(folder: Path) -> str:
-    lines = [line for file in sorted(folder.glob("*.jsonl")) for line in file.read_text().splitlines()]
-    rows = [json.loads(line) for line in lines]
-    tied = [r for r in rows if r["tied"]]
+def report(rows: Sequence[Json]) -> None:
+    tied = [r for r in rows if r.get("tied")]
     names = list(dict.fromkeys(n for r in tied for n in r["plans"]))
-    out = [f"{len(rows)} cases, {len(tied)} tied by the runs there are"]
+    print(f"{len(rows)} cases, {len(tied)} tied by the runs there are")
     for machine, kind in [("", ""), *sorted({(r["machine"], r["kind"]) for r in tied})]:
         some = [r for r in tied if machine in ("", r["machine"]) and kind in ("", r["kind"])]
         able = [r for r in some if max(r["oracle"], *(p["obtained"] for p in r["plans"].values())) > SURE]
         broken = sum(r["plans"]["the plan"]["obtained"] > SURE for r in able)
         within = f"{len(able)} that something breaks within the limits, the plan {broken} of them"
-        out.append(f"{machine or 'all'} {kind}: {len(some)} cases; {within}")
+        print(f"{machine or 'all'} {kind}: {len(some)} cases; {within}")
         for name in names:
             # where a usual experiment was the best, it is the plan
             plans = [{r["kind_of_plan"]: r["plans"]["the plan"], **r["plans"]} for r in some]
@@ -331,28 +323,23 @@ def report(folder: Path) -> str:
             hoped = np.array([g["expected"]["mean"] for g in got])
             near = (nats > 0.5 * hoped) & (nats < 2.0 * hoped)
             low, middle, high = np.quantile(nats, (0.25, 0.5, 0.75))
-            out.append(
+            print(
                 f"  {name:24s} breaks {np.sum(nats > SURE)}/{len(some)}, wrong {np.sum(nats < -SURE)}; median "
                 f"{middle:.1f} nats (quartiles {low:.1f}, {high:.1f}), expected median {np.median(hoped):.1f}; "
                 f"within a factor of two {near.mean():.0%}; left limits {sum(g['use'] > 1 for g in got)}"
             )
-    return "\n".join(out)
 
 
 def main() -> None:
     parser = options(__doc__, "out", seed=1, count=3)
     parser.add_argument("--machine", choices=MACHINES, default="spring")
     parser.add_argument("--wider", type=float, default=2.0, help="limits over what the runs held")
-    parser.add_argument("--report", action="store_true", help="no cases; the table of what is there")
     a = parser.parse_args()
-    a.out.mkdir(parents=True, exist_ok=True)
-    kinds = MACHINES[a.machine].kinds
-    for i in range(0 if a.report else a.count):
-        found = one(a.machine, kinds[i % len(kinds)], a.seed + i, a.wider)
-        with (a.out / f"{a.machine}_{a.seed}.jsonl").open("a", encoding="utf-8") as file:
-            print(json.dumps(found), file=file, flush=True)
-        print(f"{found['machine']} {found['kind']} {found['seed']}: tied {found['tied']}", flush=True)
-    print(report(a.out))
+    kinds, cases = MACHINES[a.machine].kinds, []
+    for i in range(a.count):
+        kind, seed = kinds[i % len(kinds)], a.seed + i
+        cases.append((f"{a.machine}_{seed}", partial(one, a.machine, kind, seed, a.wider), {"kind": kind}))
+    report(answers(a.out, cases, lambda found: f"{found['kind']}: {found.get('error', found.get('tied'))}"))
 
 
 if __name__ == "__main__":

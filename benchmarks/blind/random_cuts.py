@@ -9,15 +9,15 @@ or 1 GiB, or a warning of NumPy on the screen.
 """
 
 import contextlib
-import csv
 import io
 import os
 import signal
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
-from study import Json, options, read_json, save, write_json
+from study import Json, answers, numbered, options, save
 
 from nsde_torch.cli.main import main as nsde
 
@@ -53,8 +53,7 @@ def source(folder: Path, system: str, dt: float, effect: str, seed: int) -> Path
 def cut(log: Path, out: Path, rng: np.random.Generator, most: int = 5000) -> str:
     """Writes one cut; returns what was done to it, in words."""
     files = sorted(log.glob("*.csv"))
-    with files[0].open() as stream:
-        head = next(csv.reader(stream))
+    head = files[0].read_text(encoding="utf-8").partition("\n")[0].split(",")
     tables = [np.loadtxt(f, delimiter=",", skiprows=1, ndmin=2) for f in files]
     stride = int(rng.choice([1, 1, 1, 2, 5, 10, 25]))
     runs = int(rng.choice([1, 2, 2, 3, 4]))
@@ -136,7 +135,7 @@ def fault(answer: Json) -> str:
     return ""
 
 
-def one(folder: Path, number: int, seed: int) -> Json:
+def one(folder: Path, seed: int, number: int) -> Json:
     rng = np.random.default_rng([seed, number])
     system = str(rng.choice(list(STEPS)))
     dt, effect = float(rng.choice(STEPS[system])), str(rng.choice(EFFECTS[system]))
@@ -144,36 +143,27 @@ def one(folder: Path, number: int, seed: int) -> Json:
     done = cut(source(folder / "sources", system, dt, effect, seed), place / "data", rng)
     words = [f"system={system}", "data=csv", f"data.path={place / 'data'}", "retrain=false"]
     answer = diagnosed([*words, f"out_dir={place / 'out'}"], place / "screen.txt")
-    answer |= {"case": number, "system": system, "dt": dt, "effect": effect, "cut": done}
-    answer["fault"] = fault(answer)
-    write_json(place / "answer.json", answer)
-    return answer
+    answer |= {"system": system, "dt": dt, "effect": effect, "cut": done}
+    return answer | {"fault": fault(answer)}
 
 
-def judge(folder: Path) -> None:
-    answers = [read_json(f) for f in sorted(folder.glob("case_*/answer.json"))]
-    for a in answers:
-        if a["fault"]:
-            of = f"{a['system']} {a['dt']:g} s, {a['effect'] or 'nothing'}"
-            print(f"{a['case']:>4} {a['fault']}: {of}; {a['cut']}")
-    codes = [a["code"] for a in answers]
-    print(
-        f"{len(answers)} cuts: {codes.count(0)} answers, {codes.count(2)} refusals, "
-        f"{sum(bool(a['fault']) for a in answers)} faults; longest {max(a['seconds'] for a in answers):.0f} s"
-    )
+def told(a: Json) -> str:
+    of = f"{a['system']} {a['dt']:g} s, {a['effect'] or 'nothing'}; {a['cut']}"
+    return f"{a['code']} {a['seconds']:.1f} s {a['fault']}: {of}"
 
 
 def main() -> None:
-    given = options(__doc__, "out", seed=1, first=0, count=200, judge=False).parse_args()
+    given = options(__doc__, "out", seed=1, first=0, count=200).parse_args()
     warm = ["diagnose", "system=mass_spring_damper", "data=csv", "data.path=/nowhere"]
     with contextlib.suppress(SystemExit), contextlib.redirect_stderr(io.StringIO()):
         nsde(warm)  # loads what every diagnosis loads
-    if not given.judge:
-        for number in range(given.first, given.first + given.count):
-            a = one(given.out, number, given.seed)
-            said = f"{number:>4} {a['code']} {a['seconds']:5.1f} s {a['fault']} {a['system']} {a['cut']}"
-            print(said, flush=True)
-    judge(given.out)
+    done = answers(given.out / "answers", numbered(given, partial(one, given.out)), told)
+    wrong = [f"{a['case']:>4} {told(a)}" for a in done if a["fault"]]
+    codes, longest = [a["code"] for a in done], max(a["seconds"] for a in done)
+    counts = (
+        f"{codes.count(0)} answers, {codes.count(2)} refusals, {len(wrong)} faults; longest {longest:.0f} s"
+    )
+    print("\n".join([*wrong, f"{len(done)} cuts: {counts}"]))
 
 
 if __name__ == "__main__":

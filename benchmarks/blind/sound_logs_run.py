@@ -10,11 +10,15 @@ is a refusal.
 """
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 from sound_logs import Case, cases, options
-from study import Json, markdown, read_json, write_json
+from study import markdown, read_json, write_json
+
+import nsde_torch
+from nsde_torch.errors import NsdeError
 
 TRUE = {
     "3 decimals": {"quaternion_norm"},
@@ -28,75 +32,45 @@ BENIGN = {"rank_deficient_inputs", "interventions", "constant_input"}
 """Findings of what was asked for, no faults of a log."""
 
 
-def read(case: Case, folder: Path) -> Json:
-    import nsde_torch
-    from nsde_torch.errors import NsdeError
-
-    started = time.perf_counter()
-    try:
-        data = nsde_torch.read(folder / "data" / case.name, system=case.system)
-        found = [(f.kind, str(f)) for f in data.summary.findings]
-    except NsdeError as error:
-        found = [("refused", str(error))]
-    return {"found": found, "seconds": time.perf_counter() - started}
-
-
-def diagnose(case: Case, folder: Path) -> Json:
-    """What a diagnosis says of one log of a machine that lacks nothing."""
-    import nsde_torch
-    from nsde_torch.errors import NsdeError
-
-    started = time.perf_counter()
-    try:
-        found = nsde_torch.diagnose(folder / "data" / case.name, system=case.system)
-        said = {"verdict": found.verdict, "added": list(found.added), "report": found.report}
-        said["recording"] = [[f.name, f.sentence] for f in found.faults]
-    except NsdeError as error:
-        said = {"verdict": "refused", "added": [], "recording": [], "report": str(error)}
-    return {**said, "seconds": time.perf_counter() - started}
-
-
-def _diagnose_some(plan: list[Case], folder: Path, count: int) -> None:
-    """Diagnoses of some logs of each system, evenly over the plan; false alarms are printed."""
-    false = total = 0
-    for system in dict.fromkeys(case.system for case in plan):
-        of = [case for case in plan if case.system == system]
-        for case in [of[i] for i in np.linspace(0, len(of) - 1, count).round().astype(int)]:
-            path = folder / "answers" / f"{case.name}_diagnosis.json"
-            if not path.is_file():
-                write_json(path, diagnose(case, folder))
-            said = read_json(path)
-            lag = "tacho" in case.habits and set(said["added"]) <= {"sensor_delay", "sensor_lag"}
-            alarm = said["verdict"] != "no_effect" and not (lag and said["added"])
-            false, total = false + bool(alarm), total + 1
-            what = f"{said['verdict']} {said['added']} {said['recording']}" if alarm else "silent"
-            told = f"{case.excitation}, {'+'.join(case.habits)}, {1 / case.dt:g} Hz"
-            print(f"{case.name} {told}: {what} {said['seconds']:.1f} s", flush=True)
-    print(f"{false} of {total} diagnoses say what is not so")
-
-
-def false_alarms(case: Case, found: list[tuple[str, str]]) -> list[tuple[str, str]]:
+def read(path: Path, case: Case) -> list[tuple[str, str]]:
+    """What reading a log says that is not so."""
     true = set(BENIGN).union(*(TRUE.get(habit, set()) for habit in case.habits))
-    return [(kind, text) for kind, text in found if kind not in true]
+    findings = nsde_torch.read(path, system=case.system).summary.findings
+    return [(f.kind, str(f)) for f in findings if f.kind not in true]
 
 
-def table(plan: list[Case], folder: Path) -> str:
+def diagnose(path: Path, case: Case) -> list[tuple[str, str]]:
+    """What a diagnosis says of a machine that lacks nothing."""
+    found = nsde_torch.diagnose(path, system=case.system)
+    lag = "tacho" in case.habits and found.added and {*found.added} <= {"sensor_delay", "sensor_lag"}
+    if found.verdict == "no_effect" or lag:
+        return []
+    return [(found.verdict, f"{[*found.added]} {[f.sentence for f in found.faults]}")]
+
+
+def answer(case: Case, folder: Path, ask: Callable[[Path, Case], list[tuple[str, str]]], kept: Path) -> None:
+    """Ask of one log what is kept in a file, and print the false alarms."""
+    started = time.perf_counter()
+    try:
+        alarms = ask(folder / "data" / case.name, case)
+    except NsdeError as error:
+        alarms = [("refused", str(error))]
+    write_json(kept, {"alarms": alarms, "seconds": time.perf_counter() - started})
+    said = ", ".join(kind for kind, _ in alarms) or "silent"
+    print(f"{case.name} {said} {time.perf_counter() - started:.1f} s", flush=True)
+
+
+def table(kept: dict[Case, Path]) -> str:
     """False alarms by system, and each with its habits and excitation."""
-    answers = {
-        case: false_alarms(case, read_json(path)["found"])
-        for case in plan
-        if (path := folder / "answers" / f"{case.name}.json").is_file()
-    }
-    by_system: dict[str, list[bool]] = {}
-    for case, alarms in answers.items():
-        by_system.setdefault(case.system, []).append(bool(alarms))
-    rows = [(system, f"{sum(some)} of {len(some)}") for system, some in by_system.items()]
+    answers = {case: read_json(path)["alarms"] for case, path in kept.items() if path.is_file()}
+    rows = []
+    for system in dict.fromkeys(case.system for case in answers):
+        some = [bool(alarms) for case, alarms in answers.items() if case.system == system]
+        rows.append((system, f"{sum(some)} of {len(some)}"))
     lines = [*markdown(("", "logs with a false alarm"), rows), ""]
     for case, alarms in answers.items():
-        for kind, text in alarms:
-            lines.append(
-                f"- {case.name} {case.excitation}, {'+'.join(case.habits)}, {1 / case.dt:g} Hz: {kind}: {text[:400]}"
-            )
+        about = f"{case.name} {case.excitation}, {'+'.join(case.habits)}, {1 / case.dt:g} Hz"
+        lines += [f"- {about}: {kind}: {text[:400]}" for kind, text in alarms]
     return "\n".join(lines)
 
 
@@ -107,19 +81,15 @@ def main() -> None:
     given = parser.parse_args()
     every = cases(given.seed, given.systems)
     plan = [c for c in every if (given.logs / "data" / c.name).is_dir()]
-    if given.diagnose:
-        _diagnose_some(plan, given.logs, given.diagnose)
-        return
-    for case in () if given.judge else plan:
-        answer = given.logs / "answers" / f"{case.name}.json"
-        if answer.is_file():
-            continue
-        said = read(case, given.logs)
-        write_json(answer, said)
-        alarms = [kind for kind, _ in false_alarms(case, said["found"])]
-        told = f"{case.name} {case.excitation}, {'+'.join(case.habits)}"
-        print(f"{told}: {alarms or 'silent'} {said['seconds']:.1f} s", flush=True)
-    print(table(plan, given.logs))
+    if given.diagnose:  # some of each system, evenly over the plan
+        systems = [[c for c in plan if c.system == s] for s in dict.fromkeys(c.system for c in plan)]
+        at = [np.linspace(0, len(of) - 1, given.diagnose).round().astype(int) for of in systems]
+        plan = [of[i] for of, some in zip(systems, at, strict=True) for i in some]
+    ask, ending = (diagnose, "_diagnosis") if given.diagnose else (read, "")
+    kept = {case: given.logs / "answers" / f"{case.name}{ending}.json" for case in plan}
+    for case in [c for c in plan if not (given.judge or kept[c].is_file())]:
+        answer(case, given.logs, ask, kept[case])
+    print(table(kept))
 
 
 if __name__ == "__main__":

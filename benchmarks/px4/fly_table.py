@@ -1,7 +1,8 @@
 """Is a real PX4 flown to the end, and does every fault end as the documentation says?
 
 PX4 must run and send its offboard link to udp 14540 (see how-to/px4.md; `nsde vehicle` does so too). Flights are those
-of `nsde fly` at default settings, each in a process of its own; faults are made on the line, by signals and by limits.
+of `nsde fly` at default settings, each in a process of its own. Faults are made by signals, by limits, and on a line of
+two UDP sockets that can be cut, thinned and spoken on: PX4 -> udp 14540 (here) -> udp 14640 (`nsde fly`), and back.
 
     python benchmarks/px4/fly_table.py --out results/px4 --system quadrotor --models runs/quad --flights 20
     python benchmarks/px4/fly_table.py --out results/faults --system quadrotor --flights 0 --faults --px4-pid PID
@@ -9,24 +10,33 @@ of `nsde fly` at default settings, each in a process of its own; faults are made
 Writes `table.json` with everything that was measured, and `table.md`.
 """
 
+from __future__ import annotations
+
 import argparse
 import json
 import os
+import select
+import signal
+import socket
 import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, final
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "blind"))
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from study import markdown, options, write_json
 
-from benchmarks.px4.faults import Fault, Flight, faults, verdict
-from benchmarks.px4.line import Line
+from nsde_torch.control import shapes
+from nsde_torch.px4.flight.cascade import PathPoints
 from nsde_torch.px4.link import dialect as d
+from nsde_torch.px4.link.codec import Codec
+from nsde_torch.px4.link.dialect import Mode, mavlink
+from nsde_torch.px4.link.endpoint import NUMBERS
 
 INNER = 100
 """Port on which `nsde fly` waits, behind that to which PX4 sends."""
@@ -38,6 +48,184 @@ REFERENCES = {
 }
 LONGEST = 900.0
 """Time after which a flight that does not end is killed [s]; a solver that is compiled takes minutes of it."""
+STATES = frozenset(NUMBERS[n] for n in ("ODOMETRY", "ATTITUDE_QUATERNION", "LOCAL_POSITION_NED"))
+_OPERATOR = 255
+"""System id of a ground station."""
+
+
+def _frames(data: bytes) -> Iterator[bytes]:
+    """MAVLink 2 frames of a datagram; what is none comes as it is."""
+    at = 0
+    while at < len(data):
+        if data[at] != 0xFD or len(data) - at < 12:
+            yield data[at:]
+            return
+        size = 12 + data[at + 1] + (13 if data[at + 2] & 1 else 0)
+        yield data[at : at + size]
+        at += size
+
+
+@final
+class Line:
+    """The line, between the port to which PX4 sends its offboard link and that on which `nsde fly` waits.
+
+    Nothing passes while it is `cut`, and no states while it is `stale`; `armed` and the time `heard` [s] are those
+    of PX4's last heartbeat.
+    """
+
+    def __init__(self, outer: int, inner: int) -> None:
+        self._outer = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._outer.bind(("127.0.0.1", outer))
+        self._inner = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._inner.bind(("127.0.0.1", 0))
+        self._fly, self._px4 = ("127.0.0.1", inner), ("", 0)
+        self._reader = Codec(_OPERATOR, 190, wanted=frozenset({NUMBERS["HEARTBEAT"]}))
+        self._writer = Codec(_OPERATOR, 190)
+        self._system = 1
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self.cut = self.stale = self.armed = False
+        self.heard = 0.0
+
+    def __enter__(self) -> Line:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._stop.set()
+        self._thread.join(2.0)
+        self._outer.close()
+        self._inner.close()
+
+    def ask(self, mode: Mode) -> None:
+        """Ask PX4 for a mode, as another client would."""
+        if not self._px4[1]:
+            return  # it was never heard
+        message = mavlink.MAVLink_command_long_message(
+            self._system, 1, d.SET_MODE, 0, 1, mode.main, mode.sub, 0, 0, 0, 0
+        )
+        self._outer.sendto(self._writer.pack(message), self._px4)
+
+    def wait_until_disarmed(self, longest: float) -> bool:
+        """Whether PX4 says within a time [s] that it is disarmed; a heartbeat that comes now counts."""
+        begun = time.monotonic()
+        while time.monotonic() - begun < longest:
+            if self.heard > begun and not self.armed:
+                return True
+            time.sleep(0.1)
+        return False
+
+    def _run(self) -> None:
+        while not self._stop.is_set():
+            for ready in select.select([self._outer, self._inner], [], [], 0.05)[0]:
+                try:
+                    data, source = ready.recvfrom(65536)
+                except OSError:  # the other side is not there yet
+                    continue
+                if ready is self._outer:
+                    self._px4 = source
+                    self._listen(data)
+                    if not self.cut:
+                        self._pass_down(data)
+                elif not self.cut and self._px4[1]:
+                    self._outer.sendto(data, self._px4)
+
+    def _listen(self, data: bytes) -> None:
+        for message in self._reader.unpack(data, time.monotonic()):
+            if message.autopilot == d.AUTOPILOT_PX4:
+                self._system = message.get_srcSystem()
+                self.armed = bool(message.base_mode & d.ARMED_FLAG)
+                self.heard = time.monotonic()
+
+    def _pass_down(self, data: bytes) -> None:
+        if self.stale:
+            data = b"".join(f for f in _frames(data) if int.from_bytes(f[7:10], "little") not in STATES)
+        if data:
+            self._inner.sendto(data, self._fly)
+
+
+Make = Callable[[int, Line], None]
+"""Makes a fault, by the process of `nsde fly` and the line between it and PX4."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    name: str  # what happens
+    make: Make | None  # None: a limit that is set beforehand
+    status: tuple[int, ...]  # exit statuses that are right
+    trouble: tuple[str, ...] = ()  # kinds of trouble that are right; empty: none is written, as it has ended
+    words: tuple[str, ...] = ("reference=lemniscate",)  # settings of the flight
+    phase: str = "track"  # in which it is made
+    after: float = 3.0  # how long into it [s]
+    predictive: bool = False  # whether it needs a predictive controller
+
+
+def _signal(*numbers: int, pause: float = 0.5) -> Make:
+    def make(pid: int, line: Line) -> None:
+        for k, number in enumerate(numbers):
+            if k:
+                time.sleep(pause)
+            os.kill(pid, number)
+
+    return make
+
+
+def _set(name: str) -> Make:
+    return lambda pid, line: setattr(line, name, True)
+
+
+def _stop_the_solver(pid: int, line: Line) -> None:
+    """The controller's process stands still; it is the child that is not Python's resource tracker."""
+    tasks = Path(f"/proc/{pid}/task")
+    for child in [int(c) for t in tasks.iterdir() for c in (t / "children").read_text().split()]:
+        if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes():
+            os.kill(child, signal.SIGSTOP)
+
+
+def _fence() -> str:
+    """A fence one centimetre outside of the circle."""
+    path = PathPoints(shapes.circle())
+    rows = [[low - 0.01, high + 0.01] for low, high in zip(path.low[:2], path.high[:2], strict=True)]
+    return f"limits.fence={[*rows, [-0.5, 6.0]]}".replace(" ", "")
+
+
+def faults(px4: int | None) -> list[Fault]:
+    """All of them; PX4 is killed last, and only where its process is known."""
+    lost = (4,), ("link", "estimate")
+    stands = _signal(signal.SIGSTOP, signal.SIGCONT, pause=4.0)
+    out: list[Fault] = [
+        Fault("killed with -9", _signal(signal.SIGKILL), (-signal.SIGKILL,)),
+        Fault("stopped for 4 s", stands, (3,), ("late", "mode", "link")),
+        Fault("SIGINT once", _signal(signal.SIGINT), (130,), ("stop",)),
+        Fault("SIGINT twice", _signal(signal.SIGINT, signal.SIGINT), (130,), ("stop",)),
+        Fault("fence", None, (3,), ("fence",), ("reference=circle", _fence())),
+        Fault("speed", None, (3,), ("speed",), ("reference=lemniscate", "limits.speed=1.5")),
+        # a predictive controller does not fly plans that tilt too far
+        Fault("tilt", None, (3,), ("tilt", "solver"), ("reference=lemniscate", "limits.tilt=15")),
+        Fault("no states", _set("stale"), (3,), ("estimate",)),
+        Fault("another client's mode", lambda pid, line: line.ask(d.LAND), (3,), ("mode",)),
+        Fault("link cut at take-off", _set("cut"), *lost, phase="take off", after=1.5),
+        Fault("link cut on the reference", _set("cut"), *lost),
+        Fault("link cut while landing", _set("cut"), *lost, phase="land", after=0.3),
+        Fault("plans late", _stop_the_solver, (3,), ("solver",), predictive=True),
+        Fault("battery low", None, (3,), ("battery",), ("reference=lemniscate", "limits.battery=0.85")),
+    ]
+    if px4 is not None:
+        out.append(Fault("PX4 killed", lambda pid, line: os.kill(px4, signal.SIGKILL), *lost))
+    return out
+
+
+def verdict(fault: Fault, status: int, flight: dict[str, Any] | None, disarmed: bool) -> list[str]:
+    """What did not end as it should have; empty: nothing."""
+    out = []
+    if status not in fault.status:
+        out.append(f"exit status {status}, not {' or '.join(map(str, fault.status))}")
+    trouble = ((flight or {}).get("trouble") or {}).get("kind")
+    if fault.trouble and trouble not in fault.trouble:
+        out.append(f"trouble {trouble!r}, not {' or '.join(fault.trouble)}")
+    if not disarmed:
+        out.append("not disarmed within a minute")
+    return out
 
 
 class Fly:
@@ -53,8 +241,7 @@ class Fly:
             text=True,
             env={**os.environ, "PYTHONUNBUFFERED": "1"},
         )
-        self._thread = threading.Thread(target=self._read, daemon=True)
-        self._thread.start()
+        threading.Thread(target=self._read, daemon=True).start()
 
     def _read(self) -> None:
         assert self.process.stdout is not None
@@ -113,7 +300,7 @@ def _faulty(fault: Fault, given: argparse.Namespace, line: Line) -> dict[str, An
     fly = Fly(folder, [f"run={run}", f"system={given.system}", *fault.words], given.port + INNER)
     made = fault.make is None or fly.wait_for(fault.phase, fault.after)
     if fault.make is not None and made:
-        fault.make(Flight(fly.process.pid, line))
+        fault.make(fly.process.pid, line)
     status, flight = fly.wait(), fly.report
     begun = time.monotonic()
     disarmed = fault.name == "PX4 killed" or line.wait_until_disarmed(60.0)
@@ -151,15 +338,12 @@ def table(content: dict[str, Any]) -> str:
         good = "yes" if not f["wrong"] else "NO: " + "; ".join(f["wrong"])
         faults.append((f["fault"], f["status"], trouble, good))
     of_flights = ("reference", "controller", "flown and landed", "RMSE [cm]", "largest [cm]")
-    heads = (
-        (*of_flights, "age p50 [ms]", "gap p99.9 [ms]"),
-        ("fault", "exit status", "trouble", "as documented"),
-    )
-    tables = (
-        [*markdown(head, rows), ""] for head, rows in zip(heads, (flights, faults), strict=True) if rows
-    )
-    about = f"PX4: {content['px4']}; {content['date']}; {content['system']}"
-    return "\n".join([about, "", *(line for lines in tables for line in lines)])
+    lines = [f"PX4: {content['px4']}; {content['date']}; {content['system']}", ""]
+    if flights:
+        lines += [*markdown((*of_flights, "age p50 [ms]", "gap p99.9 [ms]"), flights), ""]
+    if faults:
+        lines += [*markdown(("fault", "exit status", "trouble", "as documented"), faults), ""]
+    return "\n".join(lines)
 
 
 def main() -> None:

@@ -19,7 +19,6 @@ use, so it gets an environment of its own, without its pins:
 """
 
 import math
-import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
@@ -61,13 +60,15 @@ def main() -> None:
     if a.published:
         data[f"published {a.published.stem}"] = read("published", system, path=str(a.published))
     for name, runs in data.items():
-        sides: dict[str, list[dict[str, float]]] = {"ours": [], "mbrl": [], "mbrl, stretched": []}
+        sides: dict[str, list[float]] = {"ours": [], "mbrl": [], "mbrl, stretched": []}
         for seed in a.seeds:
             case = make_case(runs, seed)
             sides["ours"].append(ours(case, seed))
             sides["mbrl"].append(mbrl(case, seed, stretched=False))
             sides["mbrl, stretched"].append(mbrl(case, seed, stretched=True))
-        report(name, sides)
+        print(f"\n{name}: {len(a.seeds)} seeds, nats, mean (standard deviation)")
+        for side, scores in sides.items():
+            print(f"  {side:22s}{np.mean(scores):.3f} ({np.std(scores, ddof=min(1, len(scores) - 1)):.3f})")
 
 
 def make_case(data: DataSet, seed: int) -> Case:
@@ -84,35 +85,20 @@ def make_case(data: DataSet, seed: int) -> Case:
     return Case(model, pairs, cut_pairs(model, held, most=2048), cut_pairs(model, test, most=len(test)))
 
 
-def ours(case: Case, seed: int) -> dict[str, float]:
+def ours(case: Case, seed: int) -> float:
     options = TrainerOptions()
-    started = time.perf_counter()
-    how = {
-        "spec": case.model.spec,
-        "runs": [],
-        "seed": seed,
-        "name": "ours",
-        "loss": LossOptions(),
-        "options": options,
-    }
-    how |= {
-        "validation": 0.15,
-        "clock": 1.0,
-        "values": {},
-        "device": torch.device("cpu"),
-        "dtype": torch.float32,
-    }
+    how = {"spec": case.model.spec, "runs": [], "seed": seed, "name": "ours"}
+    how |= {"loss": LossOptions(), "options": options, "validation": 0.15, "clock": 1.0, "values": {}}
+    how |= {"device": torch.device("cpu"), "dtype": torch.float32, "log": lambda *_: None}
     with TemporaryDirectory() as folder:
-        task = Task(**how, checkpoint=Path(folder) / "ours", log=lambda *_: None)
+        task = Task(**how, checkpoint=Path(folder) / "ours")
         many = STEPS_FACTOR * options.steps
-        steps = EnsembleLoop(case.model, case.train, case.validation, steps=many, task=task).run().step
-    seconds = time.perf_counter() - started
+        EnsembleLoop(case.model, case.train, case.validation, steps=many, task=task).run()
     with torch.no_grad():
-        mean, v = case.model.standard(case.test.inputs.expand(MEMBERS, -1, -1))
-    return {**score(case, mean, v), "steps": steps, "seconds": seconds}
+        return score(case, *case.model.standard(case.test.inputs.expand(MEMBERS, -1, -1)))
 
 
-def mbrl(case: Case, seed: int, *, stretched: bool) -> dict[str, float]:
+def mbrl(case: Case, seed: int, *, stretched: bool) -> float:
     """Fit GaussianMLP with mbrl-lib's own trainer and iterators."""
     from mbrl.models import GaussianMLP, ModelTrainer, OneDTransitionRewardModel
     from mbrl.types import TransitionBatch
@@ -134,35 +120,18 @@ def mbrl(case: Case, seed: int, *, stretched: bool) -> dict[str, float]:
     train = BootstrapIterator(batch(case.train), BATCH, MEMBERS, **orders)
     validation = TransitionIterator(batch(case.validation), 2048)
     epochs = max(25, math.ceil(STEPS_FACTOR * TrainerOptions().steps / len(train)))
-    started = time.perf_counter()
     stops = {"patience": None if stretched else 25, "improvement_threshold": 0.0 if stretched else 0.01}
     trainer = ModelTrainer(model, optim_lr=7.5e-4, weight_decay=3e-5)
-    losses, _ = trainer.train(train, validation, num_epochs=epochs, silent=True, **stops)
-    seconds = time.perf_counter() - started
+    trainer.train(train, validation, num_epochs=epochs, silent=True, **stops)
     with torch.no_grad():
-        mean, v = networks(case.test.inputs.expand(MEMBERS, -1, -1), use_propagation=False)
-    return {**score(case, mean, v), "steps": len(losses) * len(train), "seconds": seconds}
+        return score(case, *networks(case.test.inputs.expand(MEMBERS, -1, -1), use_propagation=False))
 
 
-def score(case: Case, mean: Tensor, v: Tensor) -> dict[str, float]:
-    """Scores on the test pairs, from mean and log-variance of the standardised change (members, N, n_change)."""
+def score(case: Case, mean: Tensor, v: Tensor) -> float:
+    """Score on the test pairs, from mean and log-variance of the standardised change (members, N, n_change)."""
     z = (case.test.changes - mean).square() * torch.exp(-v)
     each = -0.5 * (z + v + math.log(2 * math.pi)).sum(-1)
-    mixture = -float((torch.logsumexp(each, 0) - math.log(MEMBERS)).mean())
-    rmse = float((mean.mean(0) - case.test.changes).square().mean().sqrt())
-    return {"nll": mixture, "rmse": rmse}
-
-
-def report(name: str, sides: dict[str, list[dict[str, float]]]) -> None:
-    """Mean over the seeds (standard deviation)."""
-    print(f"\n{name}: {len(sides['ours'])} seeds, mean (standard deviation)")
-    for side, rows in sides.items():
-        cells = []
-        for key, digits in (("nll", 3), ("rmse", 3), ("steps", 0), ("seconds", 0)):
-            values = np.array([row[key] for row in rows])
-            spread = values.std(ddof=min(1, len(values) - 1))
-            cells.append(f"{key} {values.mean():.{digits}f} ({spread:.{digits}f})")
-        print(f"  {side:22s}" + "  ".join(cells))
+    return -float((torch.logsumexp(each, 0) - math.log(MEMBERS)).mean())
 
 
 if __name__ == "__main__":

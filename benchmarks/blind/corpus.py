@@ -100,7 +100,7 @@ def _flown(seed: int, names: tuple[str, ...], smoother: int | None = None) -> di
         with _files(partial(closed_loop.write, case, logged), smoother) as folder:
             truth = truth_of(folder, case.name)
             content = diagnosed(folder / "data" / case.name, truth["system"])[0].content()
-        judged = closed_loop_run.judge(truth, {"status": "done", "seconds": 0.0}, content)
+        judged = closed_loop_run.judge(truth, {**content, "seconds": 0.0})
         right = judged["alone"] or (judged["tied"] and judged["named"])
         right = right if truth["effects"] else judged["verdict"] == "no_effect"
         return _judged(right, truth["effects"], judged["inside"])

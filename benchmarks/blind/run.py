@@ -8,7 +8,6 @@ study goes on where it stopped. Then the truth is opened: an oracle that is told
 predicts the same runs left out, and `blind/table.md` says how often the answers are right.
 """
 
-import traceback
 from functools import partial
 from math import prod
 from pathlib import Path
@@ -49,15 +48,6 @@ def diagnose_case(folder: Path, name: str) -> Json:
         oracle = held_out(machines, spec, runs, clock=found.recorded.clock, seed=0, **how)
         answer["oracle"] = oracle.content["after"]
     return answer
-
-
-def _job(folder: Path, name: str) -> str:
-    try:
-        answer = diagnose_case(folder, name)
-    except Exception as error:  # a crash is an answer too, and the worst
-        answer = {"verdict": "crash", "added": [], "error": str(error), "traceback": traceback.format_exc()}
-    study.write_json(folder / "answers" / f"{name}.json", answer)
-    return str(answer["verdict"])
 
 
 def worth(first: Json, other: Json) -> float:
@@ -147,12 +137,9 @@ def main() -> None:
     parser.add_argument("--limit", type=int, default=10**6, help="answer this many at most")
     given = parser.parse_args()
     todo = study.missing(given.cases, "answers")[: given.limit]
-    study.pooled(given.jobs, {name: partial(_job, given.cases, name) for name in todo})
+    study.pooled(given.jobs, {name: partial(study.kept, given.cases, name, diagnose_case) for name in todo})
     judged = {name: judge(truth, answer) for name, truth, answer in answered(given.cases)}
-    study.write_json(given.cases / "judged.json", judged)
-    text = table(judged)
-    (given.cases / "table.md").write_text(text, encoding="utf-8")
-    print(text)
+    study.report(given.cases, judged, table(judged))
 
 
 if __name__ == "__main__":

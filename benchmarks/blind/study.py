@@ -9,6 +9,7 @@ import json
 import os
 import tempfile
 import time
+import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from functools import partial
@@ -272,6 +273,23 @@ def answers(
             write_json(out / f"{name}.json", answer)
         print(name, say(answer), flush=True)
     return done if out is None else [read_json(path) for path in sorted(out.glob("*.json"))]
+
+
+def kept(folder: Path, name: str, make: Callable[[Path, str], Json]) -> str:
+    """Answer a case of a folder and keep the answer; returns the verdict."""
+    try:
+        answer = make(folder, name)
+    except Exception as error:  # a crash is an answer too, and the worst
+        answer = {**ERROR, "verdict": "crash", "error": repr(error), "traceback": traceback.format_exc()}
+    write_json(folder / "answers" / f"{name}.json", answer)
+    return str(answer["verdict"])
+
+
+def report(folder: Path, judged: Mapping[str, Json], table: str) -> None:
+    """Keep what answers are worth beside them, and print the table."""
+    write_json(folder / "judged.json", judged)
+    (folder / "table.md").write_text(table, encoding="utf-8")
+    print(table)
 
 
 def pooled(jobs: int, work: Mapping[str, Callable[[], str]]) -> None:

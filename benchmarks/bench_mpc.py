@@ -236,7 +236,6 @@ def optimality(model: Any, count: int) -> dict[str, Any]:
         over = (costs / best - 1.0).numpy()
         shown = sorted({*range(0, 13), 25, 50, 100, 200, 400, 800, iterations} & set(range(len(over))))
         out[name] = {
-            "monotone": bool((costs.diff(dim=0) <= 1e-9 * costs[1:]).all()),
             "over_ipopt_median_and_max": {
                 k: [float(np.median(over[k])), float(over[k].max())] for k in shown
             },

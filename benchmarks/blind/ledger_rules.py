@@ -32,11 +32,6 @@ def argument(number: int) -> Function:
     return lambda original, *args, **kwargs: args[number]
 
 
-def anything(result: Any, *args: Any, **kwargs: Any) -> bool:
-    """Whether there is a result: not None, empty or False."""
-    return bool(result)
-
-
 def marked(number: int) -> Function:
     """Whether a finding became a lead for this reason, or the verdict another."""
 
@@ -72,16 +67,8 @@ def _lead(name: str, purpose: str, number: int = 0) -> Rule:
 
 
 def _found(name: str, purpose: str, where: str, nothing: Any) -> Rule:
-    """A rule that fires where it finds anything."""
-    return Rule(name, purpose, (where,), constant(nothing), anything)
-
-
-def _there(name: str, purpose: str, where: str, nothing: Any = None) -> Rule:
-    """A rule that fires where its result is not None, or its first part is anything."""
-    part = isinstance(nothing, tuple)
-    return Rule(
-        name, purpose, (where,), constant(nothing), lambda r, *a, **k: bool(r[0]) if part else r is not None
-    )
+    """A rule that fires where it finds anything: not None, empty or False."""
+    return Rule(name, purpose, (where,), constant(nothing), lambda result, *args, **kwargs: bool(result))
 
 
 def _changed(name: str, purpose: str, *where: str) -> Rule:
@@ -129,16 +116,18 @@ RULES = (
         lambda result, search, place, *before: set(result[1]) != search.added(place.system),
     ),
     _found("_in_parts", "two effects that are as likely as one are a tie with it", f"{SEARCH}._in_parts", ()),
-    _there(
+    Rule(
         "_nearer_law",
         "a likelier law of one term stands beside an effect, or takes its place",
-        f"{SEARCH}._nearer_law",
-        ("", None),
+        (f"{SEARCH}._nearer_law",),
+        constant(("", None)),
+        lambda result, *args: bool(result[0]),
     ),
-    _there(
+    _found(
         "_more_once_fitted",
         "a candidate whose linearised step says less than a fit is fitted to the end, and held against blocks left out",
         f"{SEARCH}._more_once_fitted",
+        None,
     ),
     _found("below_a_step", "a time shorter than half a step is declared", f"{SEARCH}._below_a_step", False),
     Rule(
@@ -181,10 +170,11 @@ RULES = (
         "beyond_catalogue.of_one_variable",
         False,
     ),
-    _there(
+    _found(
         "laws named by the catalogue",
         "a law that is an effect of the catalogue takes its name",
         "beyond_catalogue.same_effect",
+        None,
     ),
     # ---- estimates
     Rule(

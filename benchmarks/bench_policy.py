@@ -13,7 +13,7 @@ of its episode, one of `ensemble_redrawn` draws one at every step. Whatever is f
 import argparse
 import statistics
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -39,8 +39,9 @@ class Cell(NamedTuple):
     def finished(self) -> list[Path]:
         return [folder for folder in self.folders if (folder / "policy.json").is_file()]
 
-    def reports(self) -> list[dict[str, Any]]:
-        return [read_json(folder / "policy.json") for folder in self.finished]
+    def means(self, key: str) -> list[float]:
+        """A mean reward of each policy."""
+        return [read_json(folder / "policy.json")[key]["mean"] for folder in self.finished]
 
 
 def cells(a: argparse.Namespace) -> list[Cell]:
@@ -54,38 +55,34 @@ def cells(a: argparse.Namespace) -> list[Cell]:
     ]
 
 
-def job(cell: Cell, seed: int, a: argparse.Namespace) -> Callable[[], None]:
+def make(cell: Cell, seed: int, a: argparse.Namespace) -> None:
     """Make one policy, and first the model that it learns in."""
-
-    def run() -> None:
-        folder = cell.folders[seed]
-        words = [f"truth={cell.truth}", f"seed={seed}"]
-        if cell.kind == "truth":
-            words += [f"steps={a.steps}"]
-        elif cell.kind == "limited":
-            words += [f"steps={INTERACTIONS}", "ppo=short"]
+    folder = cell.folders[seed]
+    words = [f"truth={cell.truth}", f"seed={seed}"]
+    if cell.kind == "truth":
+        words += [f"steps={a.steps}"]
+    elif cell.kind == "limited":
+        words += [f"steps={INTERACTIONS}", "ppo=short"]
+    else:
+        own = seed % a.models
+        kind = "ensemble" if cell.kind == REDRAWN else cell.kind
+        if cell.data not in FILES:
+            durations, policy = ",".join(["4"] * EPISODES), cell.data.removeprefix("plant_")
+            data = [f"data.durations=[{durations}]", f"data.options.policy={policy}"]
+        elif a.published is not None:
+            data = ["data=published", f"data.path={a.published / FILES[cell.data]}"]
         else:
-            own = seed % a.models
-            kind = "ensemble" if cell.kind == REDRAWN else cell.kind
-            if cell.data not in FILES:
-                durations, policy = ",".join(["4"] * EPISODES), cell.data.removeprefix("plant_")
-                data = [f"data.durations=[{durations}]", f"data.options.policy={policy}"]
-            elif a.published is not None:
-                data = ["data=published", f"data.path={a.published / FILES[cell.data]}"]
-            else:
-                raise SystemExit(f"data {cell.data}: give the folder of {FILES[cell.data]} with --published.")
-            model = a.out / "models" / cell.data / f"{kind}_{own}"
-            more = [f"model={kind}", f"seed={own}", *data]
-            finished("train", "metrics.json", model, ["system=cartpole", *more])
-            words += [f"environment={model}", f"steps={a.steps}"]
-            if kind == "ensemble":
-                words.append(f"propagation={'redrawn' if cell.kind == REDRAWN else 'fixed'}")
-        started = time.perf_counter()
-        finished("policy", "policy.json", folder, words)
-        reward = read_json(folder / "policy.json")["truth_reward"]["mean"]
-        print(f"{folder}: reward {reward:.1f}, {time.perf_counter() - started:.0f} s", flush=True)
-
-    return run
+            raise SystemExit(f"data {cell.data}: give the folder of {FILES[cell.data]} with --published.")
+        model = a.out / "models" / cell.data / f"{kind}_{own}"
+        more = [f"model={kind}", f"seed={own}", *data]
+        finished("train", "metrics.json", model, ["system=cartpole", *more])
+        words += [f"environment={model}", f"steps={a.steps}"]
+        if kind == "ensemble":
+            words.append(f"propagation={'redrawn' if cell.kind == REDRAWN else 'fixed'}")
+    started = time.perf_counter()
+    finished("policy", "policy.json", folder, words)
+    reward = read_json(folder / "policy.json")["truth_reward"]["mean"]
+    print(f"{folder}: reward {reward:.1f}, {time.perf_counter() - started:.0f} s", flush=True)
 
 
 def spread(values: Sequence[float]) -> float:
@@ -94,13 +91,9 @@ def spread(values: Sequence[float]) -> float:
 
 def rows(made: Sequence[Cell]) -> Iterator[dict[str, Any]]:
     """One row per cell: rewards and scores, mean and standard deviation over seeds."""
-
-    def means(cell: Cell, key: str) -> list[float]:
-        return [r[key]["mean"] for r in cell.reports()]
-
-    truth = {c.truth: statistics.fmean(means(c, "truth_reward")) for c in made if c.kind == "truth"}
+    truth = {c.truth: statistics.fmean(c.means("truth_reward")) for c in made if c.kind == "truth"}
     for cell in made:
-        random, rewards = statistics.fmean(means(cell, "random_reward")), means(cell, "truth_reward")
+        random, rewards = statistics.fmean(cell.means("random_reward")), cell.means("truth_reward")
         scores = [(value - random) / (truth[cell.truth] - random) for value in rewards]
         yield {
             "data": cell.data,
@@ -109,7 +102,7 @@ def rows(made: Sequence[Cell]) -> Iterator[dict[str, Any]]:
             "seeds": len(rewards),
             "reward": statistics.fmean(rewards),
             "reward_std_over_seeds": spread(rewards),
-            "reward_in_environment": statistics.fmean(means(cell, "environment_reward")),
+            "reward_in_environment": statistics.fmean(cell.means("environment_reward")),
             "score": statistics.fmean(scores),
             "score_std_over_seeds": spread(scores),
             "random_reward": random,
@@ -148,7 +141,7 @@ def main() -> None:
     # seed by seed, so that an unfinished study has something of everything
     for seed in () if a.report else range(a.seeds):
         with ThreadPoolExecutor(a.at_once) as pool:
-            for done in [pool.submit(job(cell, seed, a)) for cell in made]:
+            for done in [pool.submit(make, cell, seed, a) for cell in made]:
                 done.result()
     made = [cell for cell in made if cell.finished]
     judged = {cell.truth for cell in made if cell.kind == "truth"}

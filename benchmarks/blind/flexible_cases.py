@@ -28,7 +28,7 @@ def case(machine: str, seed: int, i: int) -> Json:
         "flexible": {k: flexible[k] for k in keys},
         "variables": [v for r in flexible["rows"] for v in r["variables"]],
     }
-    if law is not None and found.explanation.ceiling.gain is not None:
+    if law is not None and found.explanation.ceiling.functions is not None:
         out["nats"] = nats_of(found, law)
     return out
 
@@ -41,7 +41,7 @@ def nats_of(found: Any, law: Law) -> Json:
     from nsde_torch.inference.functions import Variables, learned
 
     outcome, most = found.outcome, found.explanation.ceiling
-    near = most.gain.at if outcome.joint is None else outcome.joint.declared.at
+    near = outcome.optimum if outcome.joint is None else outcome.joint.declared.at
     at = optimum_of(outcome.declared_system, near)
 
     def true(x: torch.Tensor, u: torch.Tensor) -> torch.Tensor:

@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from study import Json, answered, holds, labelled, markdown, options, read_json, save, write_json
+from study import Json, answered, holds, labelled, markdown, options, read_json, save, shares, write_json
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 from bench_smoothed_states import FILTERS
@@ -52,66 +52,48 @@ def smooth(cases: Path, out: Path, seed: int) -> int:
     return count
 
 
-def _sure(answer: Json) -> list[str]:
-    leads = {f["name"] for f in answer["findings"] if f["lead"]}
-    return [name for name in answer["added"] if name not in leads]
-
-
-def _wrong(truth: Json, answer: Json) -> list[str]:
+def _wrong(true: Json, answer: Json) -> list[str]:
     """What is named for sure beyond the truth, and is no member of a tie with it."""
-    ties = [set(tie["effects"]) for tie in answer.get("ties", [])]
-    known = set(truth["effects"]).union(*(tie for tie in ties if tie & set(truth["effects"])))
-    return [name for name in _sure(answer) if name not in known]
+    ties = [set(tie["effects"]) for tie in answer["ties"]]
+    known = set(true).union(answer["leads"], *(tie for tie in ties if tie & set(true)))
+    return [name for name in answer["added"] if name not in known]
 
 
-def _off(truth: Json, answer: Json) -> list[str]:
+def _off(true: Json, answer: Json) -> list[str]:
     """Parameters of the true effects that are wrong by 5 % and more, and whose intervals do not hold."""
-    out, known = [], answer.get("parameters", {})
-    for label, v in labelled({effect: of["parameters"] for effect, of in truth["effects"].items()}):
-        said = known.get(label) or {}
+    out = []
+    for label, v in labelled(true):
+        said = answer["parameters"].get(label) or {}
         if said.get("interval_90") and abs(said["value"] - v) > 0.05 * abs(v) and not holds(said, v):
             out.append(label)
     return out
 
 
 def judge(cases: Path, out: Path) -> str:
-    rows = []
-    same = named = raw_named = silent = nulls = 0
-    wrong: list[str] = []
+    rows, found = [], []
     for name, truth, answer in answered(out):
         raw_path = cases / "answers" / f"{name}.json"
         if not raw_path.is_file():
             continue
-        key, raw = make_system(truth["system"]).effect_key, read_json(raw_path)
-        truth["effects"] = {key(effect): held for effect, held in truth["effects"].items()}
-        for one in (raw, answer):
-            one["added"] = [key(effect) for effect in one["added"]]
-            one["findings"] = [{**f, "name": key(f["name"])} for f in one["findings"]]
-        if truth["effects"]:
-            right = [sorted(one["added"]) == sorted(truth["effects"]) for one in (raw, answer)]
-            raw_named, named = raw_named + right[0], named + all(right)
-        else:
-            nulls += raw["verdict"] == "no_effect"
-            silent += raw["verdict"] == "no_effect" == answer["verdict"]
-        same += raw["added"] == answer["added"]
-        off = _off(truth, answer)
-        if _wrong(truth, answer) or off:
-            wrong.append(name)
-        told = []
-        for one in (raw, answer):
-            names = (n if n in _sure(one) else f"({n})" for n in one["added"])
-            told.append(", ".join(names) or one["verdict"])
-        true = ", ".join(truth["effects"]) or "nothing"
+        raw, true = read_json(raw_path), {effect: of["parameters"] for effect, of in truth["effects"].items()}
+        both, off = (raw, answer), _off(true, answer)
+        right = [{*one["added"]} == {*true} and (true or one["verdict"] == "no_effect") for one in both]
+        wrong = bool(_wrong(true, answer) or off)
+        about = {"system": truth["system"], "null": not true, "same": raw["added"] == answer["added"]}
+        found.append({**about, "raw": right[0], "right": right[1], "wrong": wrong})
+        names = [[f"({n})" if n in one["leads"] else n for n in one["added"]] for one in both]
+        told = [", ".join(some) or one["verdict"] for some, one in zip(names, both, strict=True)]
         through = f"{truth['smoother']['name']} {truth['smoother']['cut_hz']:.1f} Hz"
-        rows.append((name, truth["system"], true, through, *told, ", ".join(off)))
+        rows.append((name, truth["system"], ", ".join(true) or "nothing", through, *told, ", ".join(off)))
+    singles, nulls = ([j for j in found if j["raw"] and j["null"] is null] for null in (False, True))
+    asked = [
+        ("the same answer", found, lambda j: j["same"]),
+        ("named alone raw: and behind the smoother", singles, lambda j: j["right"]),
+        ("silent raw: and behind the smoother", nulls, lambda j: j["right"]),
+        ("sure and not there, or a value off by 5 % outside its interval", found, lambda j: j["wrong"]),
+    ]
     head = ("case", "system", "true", "smoother", "raw", "smoothed", "wrong values")
-    said = (
-        f"{len(rows)} cases; {same} with the same answer. Of {raw_named} effects that the raw log names alone, {named} "
-        f"are named alone behind the smoother; of {nulls} silent nulls {silent} stay silent. Something found for "
-        f"sure (no lead) that is not there, or a value off by 5 % outside its interval: {len(wrong)} "
-        f"({', '.join(wrong)})"
-    )
-    return "\n".join([*markdown(head, rows), "", said])
+    return "\n".join([*markdown(head, rows), "", *shares(asked, "system")])
 
 
 def main() -> None:

@@ -32,21 +32,17 @@ WINDOW = 127
 ITERATIONS = 25
 SHOWN = 400  # samples of a picture
 UNIT = 1e5  # errors are in hundredths of a millimetre
-HYSTERESIS = "hysteresis"
-FREE_WEIGHTS = "nsde_benchmarks.public.boucwen:FreeHysteresis"
-FIRST: dict[str, dict[str, float]] = {
-    "": {"input_gain": 0.5, "linear_spring.stiffness": 4e4, "viscous_friction.damping": 10.0},
-    HYSTERESIS: {"hysteresis.size": 5.0, "hysteresis.reach": 1e-3},
-    FREE_WEIGHTS: {
-        f"free_hysteresis.{k}": v for k, v in {"stiffness": 1e4, "towards": 100.0, "away": 100.0}.items()
-    },
+LINEAR = {"input_gain": 0.5, "linear_spring.stiffness": 4e4, "viscous_friction.damping": 10.0}
+FREE = {"stiffness": 1e4, "towards": 100.0, "away": 100.0}
+MODELS: dict[str, tuple[tuple[str, ...], dict[str, float]]] = {
+    "linear": ((), LINEAR),
+    "linear + hysteresis": (("hysteresis",), {"hysteresis.size": 5.0, "hysteresis.reach": 1e-3}),
+    "linear + hysteresis, free weights": (
+        ("nsde_benchmarks.public.boucwen:FreeHysteresis",),
+        {f"free_hysteresis.{name}": value for name, value in FREE.items()},
+    ),
 }
-"""First values of the linear oscillator and of each law."""
-LADDER: dict[str, tuple[str, ...]] = {
-    "linear": (),
-    "linear + hysteresis": (HYSTERESIS,),
-    "linear + hysteresis, free weights": (FREE_WEIGHTS,),
-}
+"""Effects beside the linear oscillator, and first values."""
 
 
 @final
@@ -153,11 +149,11 @@ class BoucWen(PublicBenchmark):
             "sinesweep": (signals[4], signals[5]),
         }
 
-        values: dict[str, Any] = dict(FIRST[""])
+        values: dict[str, Any] = {}
         rows: dict[str, dict[str, float]] = {}
         left: dict[str, float] = {}
-        for name, effects in LADDER.items():
-            fitted = partial(_fitted, effects, values, u, y, name, work)
+        for name, (effects, first) in MODELS.items():
+            fitted = partial(_fitted, effects, {**first, **values}, u, y, name, work)
             made = work.stage(_key("model", name), fitted)
             model, left[name] = made["values"], UNIT * made["left"]
             if not effects:
@@ -172,10 +168,11 @@ class BoucWen(PublicBenchmark):
             }
             rows[f"ours, {name}"] = {test: UNIT * rms(paths_of[test] - tests[test][1]) for test in tests}
         told = [f"{name} {value:.3f}" for name, value in left.items()]
+        system = machine(Oscillator, effects, model)
         return BenchmarkOutcome(
             rows,
-            _machine(effects, model).effect_names[2:],
-            with_units(_machine(effects, model), model),
+            system.effect_names[2:],
+            with_units(system, model),
             [f"Left by the stretches of the fit, mean of four noisy periods [10 um]: {', '.join(told)}."],
             [_trace(test, y, paths_of[test]) for test, (_, y) in tests.items()],
         )
@@ -194,18 +191,13 @@ def _key(*words: str) -> str:
     return "_".join(words).replace(", ", "_").replace(" + ", "_").replace(" ", "_")
 
 
-def _machine(effects: tuple[str, ...], values: Mapping[str, Any]) -> Any:
-    first = {key: value for name in effects for key, value in FIRST[name].items()}
-    return machine(Oscillator, effects, {**first, **values})
-
-
 def _fitted(
     effects: tuple[str, ...], first: Mapping[str, Any], u: Array, y: Array, name: str, work: Work
 ) -> dict[str, Any]:
     """Values whose simulations come closest to a period, in stretches that start at states and memory of their own."""
     x = np.stack([y, np.gradient(np.tile(y, 3), STEP)[PERIOD : 2 * PERIOD]], 1)
     estimate = output_error(
-        _machine(effects, first),
+        machine(Oscillator, effects, first),
         windows([x], [_finer(u).reshape(-1, 1)], dt=STEP, length=WINDOW, finer=FINER),
         weights=np.array([UNIT, 0.0]),
         free=(0, 1, 2) if effects else (0, 1),
@@ -222,7 +214,7 @@ def _simulated(effects: tuple[str, ...], values: Mapping[str, Any], u: Array, *,
     fine = _finer(u) if periodic else _finer(np.pad(u, (0, PERIOD // 8)))[: len(u)]
     turns = 2 if periodic else 1
     force = np.tile(fine, (turns, 1)).reshape(1, -1, 1)
-    path = simulated(_machine(effects, values), np.zeros((1, 2)), force, dt=STEP, finer=FINER)
+    path = simulated(machine(Oscillator, effects, values), np.zeros((1, 2)), force, dt=STEP, finer=FINER)
     out: Array = path[0, (turns - 1) * len(u) : turns * len(u), 0]
     return out
 

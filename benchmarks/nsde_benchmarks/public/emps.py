@@ -8,6 +8,7 @@ whole of the second from its first position at rest, with the measured force alo
 """
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, final
 
@@ -18,13 +19,12 @@ from nsde_torch.arrays import Array
 from nsde_torch.data.raw import RawRun
 from nsde_torch.effects import Parameter, Port
 from nsde_torch.errors import DataError
-from nsde_torch.systems import Defaults, OneDegreeOfFreedom, ResidualPort
-from nsde_torch.systems.options import system_options
+from nsde_torch.systems import Defaults, OneDegreeOfFreedom, ResidualPort, System
 
 from .benchmark import BenchmarkMetric, BenchmarkOutcome, PublicBenchmark, PublishedRow, Trace
 from .files import Work, long_enough, matrices
 from .named import diagnosed, words_of
-from .output_error import kept_array, output_error, rms, simulated, windows
+from .output_error import kept_array, machine, output_error, rms, simulated, windows
 
 RATE_HZ = 1000.0
 ROWS = 5  # of the log to one of what is diagnosed
@@ -85,40 +85,37 @@ class Emps(PublicBenchmark):
 
         log = filtered_log(t, q, force, step=ROWS / RATE_HZ)
         first = work.stage("diagnosis", lambda: diagnosed([log], system=PositioningDrive, say=work.say))
-        machine = system_options(PositioningDrive, effects=first["effects"], parameters=first["values"])
+
+        def drive(values: Mapping[str, Any]) -> System:
+            return machine(PositioningDrive, first["effects"], {**first["values"], **values})
 
         def fitted() -> dict[str, Any]:
-            system = machine.make().double()
             x = np.stack((q, _filtered(q)[1]), 1)
             data = windows([x], [force[:, None]], dt=1 / RATE_HZ, length=WINDOW)
             how: dict[str, Any] = {"weights": np.array([1e4, 0.0]), "free": (0, 1), "iterations": 8}
-            estimate = output_error(system, data, stage="fitting to rollouts", say=work.say, **how)
-            return {"values": estimate.values}
+            return {
+                "values": output_error(
+                    drive({}), data, stage="fitting to rollouts", say=work.say, **how
+                ).values
+            }
 
-        second = work.stage("output_error", fitted)
+        def simulate(values: Mapping[str, Any]) -> Array:
+            start = np.array([[q_test[0], 0.0]])
+            return simulated(drive(values), start, force_test[None, :-1, None], dt=1 / RATE_HZ)[0, :, 0]
 
-        def of(values: Mapping[str, Any], name: str) -> Array:
-            def simulate() -> Array:
-                system = system_options(machine, parameters=values).make().double()
-                start = np.array([[q_test[0], 0.0]])
-                return simulated(system, start, force_test[None, :-1, None], dt=1 / RATE_HZ)[0, :, 0]
-
-            return kept_array(work, name, simulate)
-
-        made = {"diagnosis": first, "output error": second}
-        paths_of = {name: of(one["values"], name.replace(" ", "_")) for name, one in made.items()}
+        values = work.stage("output_error", fitted)["values"]
         rows = {}
-        for name, path in paths_of.items():
+        for name, own in (("diagnosis", first["values"]), ("output error", values)):
+            path = kept_array(work, name.replace(" ", "_"), partial(simulate, own))
             error, spread = (path - q_test)[SKIPPED:], (q_test - q_test.mean())[SKIPPED:]
             r2 = 1.0 - float((error**2).sum()) / float((spread**2).sum())
             rows[f"ours, {name}"] = {"r2": r2, "rmse": 1e3 * rms(error)}
-        values = second["values"]
         return BenchmarkOutcome(
             rows,
             first["added"],
             {**first["parameters"], "mass": {"value": 1.0 / values["force_gain"], "unit": "kg"}},
-            [*words_of(first["added"], "the drive with viscous friction alone")],
-            [Trace("test run, open loop", "position [m]", t_test, q_test, paths_of["output error"])],
+            words_of(first["added"], "the drive with viscous friction alone"),
+            [Trace("test run, open loop", "position [m]", t_test, q_test, path)],
             {"output_error": values},
         )
 

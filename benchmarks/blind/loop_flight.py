@@ -120,11 +120,15 @@ def _waypoints(t: Array, rng: np.random.Generator, size: float, dt: float) -> Ar
         n = int(rng.uniform(1.0, 3.0) / dt)
         out[at : at + n] = rng.uniform(-1, 1, 3) * [1.3 * size, 1.3 * size, 0.7]
         at += n
-    keep = np.exp(-dt / 0.16)
+    return four_times(out, np.exp(-dt / 0.16))
+
+
+def four_times(rows: Array, keep: float) -> Array:
+    """Rows through four low-pass filters in a row, in place."""
     for _ in range(4):
-        for k in range(1, len(out)):
-            out[k] = keep * out[k - 1] + (1 - keep) * out[k]
-    return out
+        for k in range(1, len(rows)):
+            rows[k] = keep * rows[k - 1] + (1 - keep) * rows[k]
+    return rows
 
 
 class _Noise:

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from closed_loop import STATES as FLYING
 from closed_loop import _machine
-from loop_flight import SENSORS, Flight, fly, measured
+from loop_flight import SENSORS, Flight, fly, four_times, measured
 from small_machines import columns, rate, small, step
 from study import Array, save
 from study import options as common
@@ -59,11 +59,7 @@ def _ramps(t: Array, rng: np.random.Generator) -> Array:
 
 def _hand(t: Array, rng: np.random.Generator) -> Array:
     """Band-limited noise as of a hand on a knob: white noise through four low-pass filters of 0.1 s."""
-    out = rng.standard_normal(len(t))
-    keep = math.exp(-(t[1] - t[0]) / 0.1)
-    for _ in range(4):
-        for k in range(1, len(out)):
-            out[k] = keep * out[k - 1] + (1 - keep) * out[k]
+    out = four_times(rng.standard_normal(len(t)), math.exp(-(t[1] - t[0]) / 0.1))
     return np.asarray(1.5 * out / out.std())
 
 

@@ -58,33 +58,6 @@ def emps_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def hovering(seed: int, rows: int) -> Array:
-    """Rows of a flight that hovers and rocks, in the columns of the nano-drone's files; no true flight moves so."""
-    rng = np.random.default_rng(seed)
-    t = 0.01 * np.arange(rows)
-    roll = 0.1 * np.sin(5.0 * t)
-    out = np.zeros((rows, 18))
-    out[:, 0] = t
-    out[:, 3] = 1.0
-    out[:, 7], out[:, 10] = np.sin(roll / 2), np.cos(roll / 2)
-    out[:, 11] = 0.5 * np.cos(5.0 * t)
-    out[:, 14:] = 1700.0 + 20.0 * rng.standard_normal((rows, 4))
-    return out
-
-
-@pytest.fixture(scope="session")
-def nanodrone_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("nanodrone")
-    head = "t,x,y,z,vx,vy,vz,qx,qy,qz,qw,wx,wy,wz,m1_rads,m2_rads,m3_rads,m4_rads"
-    names = [f"train/{kind}_20251017_run{k}" for kind in ("square", "random", "chirp") for k in (1, 2, 3)]
-    names += [f"test/melon_20251017_run{k}" for k in (1, 2, 3)]
-    for seed, name in enumerate(names):
-        path = folder / "data" / f"{name}.csv"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        np.savetxt(path, hovering(seed, 160), delimiter=",", header=head, comments="")
-    return folder
-
-
 def flight_on_a_battery(seed: int, rows: int = 1500) -> Array:
     """Rows of a flight that bobs under commands times the voltage, in NanoBench's columns; no true flight moves so."""
     rng = np.random.default_rng(seed)

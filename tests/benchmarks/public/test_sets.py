@@ -49,10 +49,12 @@ def test_the_drive_is_found_and_the_second_call_keeps_the_stages(emps_folder: Pa
     assert any(line.startswith("linear models") and line.endswith("-") for line in lines)
 
 
-def test_motors_are_put_in_the_order_of_the_package(nanodrone_folder: Path) -> None:
-    path = nanodrone_folder / "data" / "test" / "melon_20251017_run1.csv"
-    x, u = nanodrone._read(path)
-    rows = np.loadtxt(path, delimiter=",", skiprows=1)
+def test_motors_are_put_in_the_order_of_the_package(tmp_path: Path) -> None:
+    head = "t,x,y,z,vx,vy,vz,qx,qy,qz,qw,wx,wy,wz,m1_rads,m2_rads,m3_rads,m4_rads"
+    rows = np.random.default_rng(0).uniform(0.1, 1.0, (160, 18))
+    rows[:, 7:11] /= np.linalg.norm(rows[:, 7:11], axis=1, keepdims=True)
+    np.savetxt(tmp_path / "melon.csv", rows, delimiter=",", header=head, comments="")
+    x, u = nanodrone._read(tmp_path / "melon.csv")
     assert np.allclose(u, (rows[:, [14, 16, 17, 15]] / nanodrone.SPEED) ** 2)
     assert np.allclose(x[:, 6], rows[:, 10])  # the scalar part comes first
 

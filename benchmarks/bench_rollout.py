@@ -15,12 +15,13 @@ from itertools import product
 
 import torch
 import torchsde
-from common import options
+from common import head, line, options
 from torch import Tensor, nn
 
 from nsde_torch.models import NeuralSDE, SDESpec
 from nsde_torch.sde import Time, brownian, make_step, rollout
 
+DT, STEPS = 0.05, 20
 TORCHSDE = {  # our step -> calculus, method and options there
     "milstein": ("ito", "milstein", {"grad_free": True}),
     "euler_maruyama": ("ito", "euler", {}),
@@ -98,44 +99,42 @@ class Theirs(nn.Module):
         return self.model.diffusion(t, y, self._input(t))
 
 
-def case(model: NeuralSDE, batch: int, steps: int, dt: float) -> tuple[Tensor, Tensor, Tensor]:
+def case(model: NeuralSDE, batch: int) -> tuple[Tensor, Tensor, Tensor]:
     """First states, one input a row held throughout (Heun's end points then agree), increments (1, B, T, nz)."""
     g = torch.Generator().manual_seed(0)
     z0 = 0.1 * torch.randn(batch, model.nz, generator=g)
     z0[:, 6] = 1.0
     u = 0.36 + 0.05 * torch.randn(batch, 1, model.system.nu, generator=g)
-    noise = brownian(1, batch, steps, model.nz, dt=dt, generator=g)
-    return model.project(z0), u.expand(batch, steps, -1).contiguous(), noise
+    noise = brownian(1, batch, STEPS, model.nz, dt=DT, generator=g)
+    return model.project(z0), u.expand(batch, STEPS, -1).contiguous(), noise
 
 
 def minima(repeats: int, *functions: Callable[[], object]) -> list[float]:
-    """Shortest time [s] of each function; they take turns."""
+    """Shortest time [ms] of each function; they take turns."""
     times: list[list[float]] = [[] for _ in functions]
-    for turn in range(repeats + 2):
+    for _ in range(repeats + 2):
         for function, record in zip(functions, times, strict=True):
             start = time.perf_counter()
             function()
-            if turn >= 2:
-                record.append(time.perf_counter() - start)
-    return [min(record) for record in times]
+            record.append(1e3 * (time.perf_counter() - start))
+    return [min(record[2:]) for record in times]
 
 
-def measure(
-    name: str, batch: int, *, steps: int, dt: float, repeats: int, gradient: bool
-) -> dict[str, object]:
-    spec = SDESpec("hexacopter", dt=dt, horizon=steps, step=name, disturbance=True)
+def measure(name: str, batch: int, *, repeats: int, gradient: bool) -> list[float]:
+    """Shortest times [ms] of torchsde, of our rollout without compilation, and with it."""
+    spec = SDESpec("hexacopter", dt=DT, horizon=STEPS, step=name, disturbance=True)
     model = NeuralSDE(spec, generator=torch.Generator().manual_seed(0))
     plain, step = Unprojected(model), make_step(name)
-    z0, u, noise = case(model, batch, steps, dt)
+    z0, u, noise = case(model, batch)
     calculus, method, options = TORCHSDE[name]
-    theirs, times = Theirs(model, calculus, u, dt), torch.linspace(0.0, steps * dt, steps + 1)
-    motion = Increments(noise[0].transpose(0, 1).contiguous(), dt)
+    theirs, times = Theirs(model, calculus, u, DT), torch.linspace(0.0, STEPS * DT, STEPS + 1)
+    motion = Increments(noise[0].transpose(0, 1).contiguous(), DT)
 
     def ours(compile: bool) -> Tensor:
-        return rollout(plain, z0, u, dt=dt, step=step, noise=noise, compile=compile, check=False)[0]
+        return rollout(plain, z0, u, dt=DT, step=step, noise=noise, compile=compile, check=False)[0]
 
     def other() -> Tensor:
-        path = torchsde.sdeint(theirs, z0, times, bm=motion, method=method, dt=dt, options=dict(options))
+        path = torchsde.sdeint(theirs, z0, times, bm=motion, method=method, dt=DT, options=dict(options))
         return path.transpose(0, 1)
 
     def run(function: Callable[[], Tensor]) -> Callable[[], Tensor]:
@@ -149,14 +148,10 @@ def measure(
 
         return once
 
-    compiled, eager, peer = run(lambda: ours(True)), run(lambda: ours(False)), run(other)
-    for path in (compiled(), eager()):  # the same answer, to float32 accuracy
-        torch.testing.assert_close(path, peer(), rtol=1e-4, atol=1e-5)
-    fast_s, slow_s, peer_s = minima(repeats, compiled, eager, peer)
-    kind = "gradient" if gradient else "forward"
-    times_ms = {"torchsde_ms": 1e3 * peer_s, "eager_ms": 1e3 * slow_s, "compiled_ms": 1e3 * fast_s}
-    times_ms["ratio"] = peer_s / fast_s
-    return {"step": name, "batch": batch, "pass": kind, **times_ms, "load": os.getloadavg()[0]}
+    peer, *own = run(other), run(lambda: ours(False)), run(lambda: ours(True))
+    for function in own:  # the same answer, to float32 accuracy
+        torch.testing.assert_close(function(), peer(), rtol=1e-4, atol=1e-5)
+    return minima(repeats, peer, *own)
 
 
 def main() -> None:
@@ -164,16 +159,11 @@ def main() -> None:
     parser.add_argument("--batch", type=int, nargs="+", default=[32, 512, 4096], help="rows")
     a = parser.parse_args()
     torch.set_num_threads(a.threads)
-    print(
-        f"{'step':<15}{'batch':>6}{'pass':>9}{'torchsde':>12}{'eager':>10}{'compiled':>10}{'ratio':>7}{'load':>6}"
-    )
+    head("step", "rows", "pass", "torchsde [ms]", "eager [ms]", "compiled [ms]", "ratio", "load")
     for name, gradient, batch in product(TORCHSDE, (False, True), a.batch):
-        r = measure(name, batch, steps=20, dt=0.05, repeats=a.repeats, gradient=gradient)
-        print(
-            f"{name:<15}{batch:>6}{r['pass']:>9}{r['torchsde_ms']:>9.1f} ms{r['eager_ms']:>7.1f} ms"
-            f"{r['compiled_ms']:>7.1f} ms{r['ratio']:>7.1f}{r['load']:>6.1f}",
-            flush=True,
-        )
+        times = measure(name, batch, repeats=a.repeats, gradient=gradient)
+        cells = [f"{t:.1f}" for t in (*times, times[0] / times[2], os.getloadavg()[0])]
+        print(line([name, batch, "gradient" if gradient else "forward", *cells]), flush=True)
 
 
 if __name__ == "__main__":

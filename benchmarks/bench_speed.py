@@ -31,7 +31,7 @@ from functools import partial
 
 import torch
 import torchsde
-from bench_rollout import TORCHSDE, Increments, Theirs
+from bench_rollout import DT, STEPS, TORCHSDE, Increments, Theirs
 from common import options
 from torch import Tensor
 
@@ -43,7 +43,7 @@ from nsde_torch.sde import brownian
 from nsde_torch.training.losses import data_loss, distance_losses, draw_ball
 from nsde_torch.training.options import LossOptions
 
-DT, STEPS, TRAIN_BATCH = 0.05, 20, 512
+TRAIN_BATCH = 512
 TOLERANCE = 1e-4
 ENVIRONMENT_STEPS = 60
 TASK = make_task("cartpole")

@@ -167,12 +167,9 @@ class Small:
         assert e.hertz is not None
         return Signals(e.limits, DT, round(duration / DT), e.hertz), open_loop, max(runs, key=len).u
 
-    def flown(
-        self, truth: Effects, e: Experiment, table: Array, seed: int, noise: float | None = None
-    ) -> Run:
+    def flown(self, truth: Effects, e: Experiment, rows: Array, seed: int, noise: float | None = None) -> Run:
         start = {"start": dict(zip(e.system.state_names, e.start.tolist(), strict=True))}
         plant = self.plant(truth, self.noise if noise is None else noise)
-        rows = replace(e, plan=replace(e.plan, table=table)).rows()
         return planned(self.name, tuple(e.given), rows, seed, options=start, **plant)
 
     def judged(
@@ -245,10 +242,8 @@ class Quadrotor(Small):
         drive = partial(flown_paths, system=e.system, dt=e.dt)
         return Paths(e.limits, e.dt, len(e.plan.table), e.start), drive, max(runs, key=len).x[:, :3]
 
-    def flown(
-        self, truth: Effects, e: Experiment, table: Array, seed: int, noise: float | None = None
-    ) -> Run:
-        return self._flight(truth, replace(e, plan=replace(e.plan, table=table)).rows(), seed)
+    def flown(self, truth: Effects, e: Experiment, rows: Array, seed: int, noise: float | None = None) -> Run:
+        return self._flight(truth, rows, seed)
 
     def judged(
         self, e: Experiment, runs: Any, question: Question, flown: Mapping[str, Run], right: int
@@ -295,10 +290,11 @@ def one(name: str, kind: str, seed: int, wider: float) -> Json:
     tables, hoped = {n: p.table for n, p in named.items()}, {n: p.nats(right) for n, p in named.items()}
     if best is not None:
         tables["the oracle's"], hoped["the oracle's"] = best, {"mean": told}
-    flown = {n: machine.flown(truth, e, t, 1000 * seed + i) for i, (n, t) in enumerate(tables.items())}
+    rows = {n: replace(e, plan=replace(e.plan, table=table)).rows() for n, table in tables.items()}
+    flown = {n: machine.flown(truth, e, own, 1000 * seed + i) for i, (n, own) in enumerate(rows.items())}
     plans = machine.judged(e, runs, question, flown, right)
-    for i, (n, table) in enumerate(tables.items()):
-        seen = machine.flown(truth, e, table, 1000 * seed + i, 0.0) if machine.quiet else flown[n]
+    for i, (n, own) in enumerate(rows.items()):
+        seen = machine.flown(truth, e, own, 1000 * seed + i, 0.0) if machine.quiet else flown[n]
         plans[n] |= {"expected": hoped[n], "use": float(np.nanmax(e.limits.use(seen.x)))}
     return out | {"plans": plans, "seconds": time.perf_counter() - began}
 

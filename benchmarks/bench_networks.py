@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import STATES, head, line, options, read_json, save
+from common import columns, head, line, options, read_json, save
 from law_machines import KINDS, Law, flights, make_data
 from loop_machine import Machine
-from small_machines import Small, columns, run
+from small_machines import Small, run
 
 import nsde_torch
 
@@ -74,7 +74,7 @@ def write(folder: Path, system: str, effects: dict[str, Any], seed: int) -> None
         held = {"law": {"of": Law(KINDS[system][3], 0.8)}} if "law" in effects else effects
         machine = Machine(system, *MULTIROTORS[system], held, (0.05, 0.05, 0.05, 0.5, 0.5, 0.1))
         for i, flight in enumerate(flights(machine, seed, FLIGHT_S, PATHS, 0.5)):
-            names = ("t", *STATES["multirotor"], *(f"u_{k + 1}" for k in range(flight.u.shape[1])))
+            names = columns("multirotor", flight.u.shape[1])
             save(folder / f"run_{i}.csv", names, [flight.t + 100.0 * i, flight.x, flight.u])
         return
     if system == JOINTS:

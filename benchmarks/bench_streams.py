@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from common import STATES, Array, head, line, options, save
+from common import Array, columns, head, line, options, save
 from loop_flight import LOG, SENSORS, Flight, fly, measured
 from loop_machine import Machine
 from scipy.interpolate import CubicSpline
@@ -58,8 +58,8 @@ def make(kind: str, seed: int, folder: Path) -> Case:
         noise = SENSORS * rng.standard_normal((n, 12))
         true = CubicSpline(k, flown.truth)
         x = true(k)
-        for columns, d in ((slice(3, 6), late[0, r]), (slice(10, 13), late[1, r])):
-            x[:, columns] = true(np.clip(k - d, 0, k[-1]))[:, columns]
+        for some, d in ((slice(3, 6), late[0, r]), (slice(10, 13), late[1, r])):
+            x[:, some] = true(np.clip(k - d, 0, k[-1]))[:, some]
         x = measured(x, noise)
         u = flown.u
         if kind == "rotor speeds":  # what the rotors do, behind their lag, at the row and not behind it
@@ -71,7 +71,7 @@ def make(kind: str, seed: int, folder: Path) -> Case:
             acting = _of_stream(u, k - late[2, r], linear=False)
         motors = acting[2 * (np.arange(n) // 2)]
         battery = flown.extra["battery_voltage"][10 * (np.arange(n) // 10)]
-        names = ("t", *STATES["multirotor"], *(f"u_{i}" for i in range(1, 5)), "battery_voltage")
+        names = (*columns("multirotor", 4), "battery_voltage")
         save(folder / f"flight_{r}.csv", names, [np.column_stack([flown.t, x, motors, battery])[50:-50]])
     return Case(kind, folder, late, gains)
 

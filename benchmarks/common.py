@@ -6,7 +6,7 @@ from pathlib import Path
 
 sys.path[1:1] = [str(Path(__file__).resolve().parents[1]), str(Path(__file__).resolve().parent / "blind")]
 
-from study import STATES, Array, Json, head, line, markdown, options, read_json, save, write_json  # noqa: E402, F401
+from study import Array, Json, columns, head, line, markdown, options, read_json, save, write_json  # noqa: E402, F401
 
 from nsde_benchmarks import training  # noqa: E402
 

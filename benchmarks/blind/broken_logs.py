@@ -15,10 +15,10 @@ from typing import NamedTuple
 
 import numpy as np
 from broken_faults import FAULTS, Log, Table
-from closed_loop import EFFECTS, STATES, SYSTEMS, _machine, _sized
+from closed_loop import EFFECTS, SYSTEMS, _machine, _sized
 from loop_flight import Flight, fly, several
-from small_machines import Small, columns, run, small
-from study import Json, missing, options, save, write_json
+from small_machines import Small, run, small
+from study import Json, columns, missing, options, save, write_json
 
 LOOPS = (("a", 0.01), ("b", 0.02), ("c", 0.01), ("a", 0.005), ("d", 0.01), ("b", 0.004))
 """Regime and step of the log [s] of the multirotors, in turn."""
@@ -83,8 +83,7 @@ def write(case: Case, log: Log, other: Log | None, true: Json, folder: Path) -> 
     """Break the log, and write it and its truth, the truth last."""
     rng = np.random.default_rng([case.seed, 99])
     done = FAULTS[case.fault][0](log, other or log, rng) if case.fault else ""
-    motors = [f"u_{i + 1}" for i in range(log[0].u.shape[1])]
-    names = ("t", *STATES, *motors) if case.regime else columns(case.system)
+    names = columns("multirotor", log[0].u.shape[1]) if case.regime else columns(case.system)
     for k, one in enumerate(log):
         table = [np.round(one.t, 6), one.x, one.u, *one.extra.values()]
         save(folder / "data" / case.name / f"run_{k}.csv", [*names, *one.extra], table)

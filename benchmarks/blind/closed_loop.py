@@ -16,8 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from loop_flight import RATES, REGIMES, STICKS, Flight, Logged, fly, several
 from loop_machine import SIGNS, Machine
-from study import STATES as STATES_OF
-from study import missing, options, save, write_json
+from study import columns, missing, options, save, write_json
 
 SYSTEMS = ("hexacopter", "quadrotor")
 SINGLES, NULLS = 48, 12
@@ -28,7 +27,6 @@ EFFECTS = (
     *("inertia_coupling", "motor_lag", "input_delay", "motor_efficiency_loss", "thrust_sag"),
     "battery_voltage",
 )
-STATES = STATES_OF["multirotor"]
 
 
 class Case(NamedTuple):
@@ -121,9 +119,9 @@ def write(case: Case, logged: list[Logged], folder: Path) -> None:
     """Write the flights of a case to `folder/data/NAME`, and its truth to `folder/truth/NAME.json`, last."""
     extra = [*(STICKS if case.sticks else ()), *(RATES if case.sticks else ()), "battery_voltage"]
     for k, run in enumerate(logged):
-        names = ["t", *STATES, *(f"u_{i + 1}" for i in range(run.u.shape[1])), *extra]
-        columns = [np.round(run.t, 6), run.x, run.u, *(run.extra[name] for name in extra)]
-        save(folder / "data" / case.name / f"run_{k}.csv", names, columns)
+        names = [*columns("multirotor", run.u.shape[1]), *extra]
+        table = [np.round(run.t, 6), run.x, run.u, *(run.extra[name] for name in extra)]
+        save(folder / "data" / case.name / f"run_{k}.csv", names, table)
     m = case.machine
     content = {
         "system": m.system,

@@ -18,10 +18,10 @@ import law_machines as machines
 import numpy as np
 from law_machines import KINDS, ODD, SYSTEMS, Kind, Law, make_data
 from study import (
-    STATES,
     Array,
     Json,
     answers,
+    columns,
     diagnosed,
     holds,
     judged,
@@ -79,7 +79,7 @@ def write(machine: str, seed: int, i: int, folder: Path, weaker: float = 1.0) ->
         assert law is not None  # it drove the machine off: of the other sign, and smaller
         law = Law(law.kind, -0.7 * law.size, law.shape)
     for r, (t, x, u) in enumerate(made):
-        save(folder / f"run_{r}.csv", ("t", *STATES[system], "force"), [t, x, u])
+        save(folder / f"run_{r}.csv", columns(system), [t, x, u])
     return law
 
 
@@ -133,8 +133,7 @@ def _multirotor(
         law = _sized(kind, share, [(seen, np.zeros((4000, 6)))], 2.0 if kind.row < 3 else 4.0)
         made = machines.Machine(**{**vars(made), "effects": {"law": {"of": law}}})
     for r, log in enumerate(machines.flights(made, seed, 25.0, PATHS[machine])):
-        names = ("t", *STATES["multirotor"], *(f"u_{k + 1}" for k in range(log.u.shape[1])))
-        save(folder / f"flight_{r}.csv", names, [log.t, log.x, log.u])
+        save(folder / f"flight_{r}.csv", columns("multirotor", log.u.shape[1]), [log.t, log.x, log.u])
     return law
 
 

@@ -13,11 +13,9 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from study import STATES, Array, save
+from study import Array, columns, save
 
 STEP = 0.001  # [s]
-CART = ("t", *STATES["cartpole"], "force")
-QUADROTOR = ("t", *STATES["multirotor"], "u_1", "u_2", "u_3", "u_4")
 
 
 @dataclass(frozen=True)
@@ -35,7 +33,7 @@ class CartOnRail:
 
     total, pole, half = 1.15, 0.25, 0.3
     inertia = 4.0 / 3.0 * pole * half**2  # about the pivot [kg m2]
-    columns, dt, seconds = CART, 0.02, 30.0
+    columns, dt, seconds = columns("cartpole"), 0.02, 30.0
     values: dict[str, float] = {"force_gain": 1.0 / total, "pole_share": pole / total, "half_length": half}
 
     def run(self, machine: Machine, rng: np.random.Generator) -> Array:
@@ -79,7 +77,7 @@ class QuadrotorOnPath:
 
     mass, inertia, arm = 1.1, np.array([0.0105, 0.0121, 0.0197]), 0.17
     thrust, spin = 6.9, 0.016  # of a motor at full command [N], its moment about z over its thrust [m]
-    columns, dt, seconds = QUADROTOR, 0.01, 45.0
+    columns, dt, seconds = columns("multirotor", 4), 0.01, 45.0
     places = ((arm, -arm), (-arm, arm), (arm, arm), (-arm, -arm))
     senses = (1.0, 1.0, -1.0, -1.0)  # of rotation, seen from above: the body is turned the other way
     values: dict[str, float] = {

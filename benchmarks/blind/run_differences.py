@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from small_machines import Small, columns, run
-from study import Json, answers, diagnosed, in_turn, options, save, table
+from small_machines import Small, run
+from study import Json, answers, columns, diagnosed, in_turn, options, save, table
 
 SPRING, CART = "mass_spring_damper", "cartpole"
 MACHINES = {

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 from scipy.signal import butter, lfilter, savgol_filter
-from study import STATES, Array
+from study import Array
 
 G = 9.8
 Law = Callable[[float, float], float]
@@ -112,10 +112,6 @@ def run(
             white[0] += size * sin(2.0 * pi * hertz * (t[k] + (part + 0.5) * h) + phase)
             y = step(lambda y, m=machine, u=u, white=white: m.rate(y, u, white), y, h)
     return t, rows, forces
-
-
-def columns(system: str) -> tuple[str, ...]:
-    return "t", *STATES[system], "force"
 
 
 def _signal(t: Array, rng: np.random.Generator, band: tuple[float, float]) -> Array:

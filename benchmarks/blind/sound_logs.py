@@ -15,11 +15,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from closed_loop import STATES as FLYING
 from closed_loop import _machine
 from loop_flight import SENSORS, Flight, fly, four_times, measured
-from small_machines import columns, rate, small, step
-from study import Array, save
+from small_machines import rate, small, step
+from study import Array, columns, save
 from study import options as common
 
 Signal = Callable[[Array, np.random.Generator], Array]
@@ -206,7 +205,7 @@ def write(case: Case, folder: Path) -> None:
         gust = 0.0 if quiet else float(rng.choice((0.0, 0.02)))
         how = machine.values, gust, noise * (0.0 if quiet else 1.0)
         runs = [_run(case, *how, s, k) for k, s in enumerate(_seconds(case, rng))]
-    names = ["t", *FLYING, "u_1", "u_2", "u_3", "u_4"] if flying else columns(case.system)
+    names = columns("multirotor", 4) if flying else columns(case.system)
     for k, run in enumerate(runs):
         t, x, u = logged(case, *run, noise, k)
         time = "%.7g" if "jitter" in case.habits else "%.6g"

@@ -100,7 +100,7 @@ def markdown(head: Sequence[Any], rows: Iterable[Sequence[Any]]) -> list[str]:
 
 def shares(asked: Iterable[tuple[str, Sequence[Json], Callable[[Json], Any]]], by: str) -> list[str]:
     """How many cases of each question are right (or intervals hold), of all and by a key of theirs."""
-    asked = list(asked)
+    asked = [question for question in asked if question[1]]
     groups = ["all", *sorted({j[by] for _, cases, _ in asked for j in cases})]
     rows = []
     for what, cases, right in asked:
@@ -162,6 +162,11 @@ def tied(content: Mapping[str, Any]) -> set[str]:
     return names | {part for name in names for part in name.split(" + ")}
 
 
+def columns(system: str, motors: int = 0) -> tuple[str, ...]:
+    """Names of the columns of a log; a machine without motors has a force."""
+    return ("t", *STATES[system], *([f"u_{k + 1}" for k in range(motors)] or ["force"]))
+
+
 def labelled(effects: Mapping[str, Mapping[str, Any]]) -> Iterator[tuple[str, float]]:
     """Labels of `diagnosis.json` and values of the parameters of effects; those of a list are numbered."""
     for effect, values in effects.items():
@@ -184,36 +189,25 @@ def held(effects: Mapping[str, Mapping[str, Any]], parameters: Mapping[str, Any]
     return [sum(inside), len(inside)]
 
 
-def judged(
-    answer: Json, truth: Mapping[str, Any], may: Iterable[str] = (), right: bool | None = None
-) -> Json:
-    """An answer with what it is worth where these effects are true, and others may stand for them.
+def judged(answer: Json, truth: Mapping[str, Any], right: bool | None = None) -> Json:
+    """An answer with what it is worth where these effects are true.
 
     It is right where the first that it names is true, or where it names nothing and nothing is.
     """
-    true, added = {*truth, *may}, answer["added"]
+    added = answer["added"]
     return {
         **answer,
         "truth": truth,
-        "right": (added[0] in true if added else not true) if right is None else right,
+        "right": (added[0] in truth if added else not truth) if right is None else right,
         "alone": set(added) == {*truth},
-        "wrong": [name for name in answer["sure"] if name not in true],
+        "wrong": [name for name in answer["sure"] if name not in truth],
         "inside": held(truth, answer["parameters"]),
     }
 
 
-ERROR: Json = {
-    **{
-        "verdict": "error",
-        "right": False,
-        "alone": False,
-        "inside": [0, 0],
-        "seconds": 0.0,
-        "parameters": {},
-    },
-    **{key: [] for key in ("added", "leads", "sure", "ties", "wrong")},
-    "truth": {"?": {}},
-}
+ERROR: Json = {"verdict": "error", "right": False, "alone": False, "inside": [0, 0], "seconds": 0.0}
+ERROR |= {"parameters": {}, "truth": {"?": {}}}
+ERROR |= {key: [] for key in ("added", "leads", "sure", "ties", "wrong")}
 """An answer that ended in an error counts as wrong."""
 
 

@@ -9,8 +9,8 @@ that the interval of the declared damping does not hold the true value.
 from pathlib import Path
 
 import numpy as np
-from small_machines import Small, columns, run
-from study import Json, answers, holds, judged, numbered, options, save, table, tied, written
+from small_machines import Small, run
+from study import Json, answers, columns, holds, judged, numbered, options, save, table, tied, written
 
 SPRING, DAMPING = "mass_spring_damper", "viscous_friction.damping"
 RUNS, SECONDS, DT = 4, 8.0, 0.01

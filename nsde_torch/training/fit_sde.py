@@ -4,11 +4,8 @@ import copy
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
-import numpy as np
 import torch
-from scipy.special import stdtrit
 from torch import Tensor, nn
 
 from nsde_torch.data import Windows
@@ -17,109 +14,12 @@ from nsde_torch.evaluation.metrics import thinned
 from nsde_torch.models.model import inputs_before, normal
 from nsde_torch.models.neural_sde import NeuralSDE, SDESpec
 from nsde_torch.sde import brownian
-from nsde_torch.systems.in_run import owner_of
 from nsde_torch.training.fit_innovations import fit_innovations
 from nsde_torch.training.loop import Loop
 from nsde_torch.training.losses import data_loss, distance_terms
 from nsde_torch.training.options import LossOptions
 from nsde_torch.training.prepare import error_scale, prepare
 from nsde_torch.training.task import Fitted, Parameters, Task
-
-# How well the data determine the declared parameters, given the learned residuals.
-#
-# Linearising the noise-free prediction over a short horizon in the parameters, e(p + d) = e + J d, the
-# estimate's covariance is the sandwich
-#
-#     (J' W J)^-1  (sum_c g_c g_c')  (J' W J)^-1,     g_c = sum_{i in c} J_i' W e_i
-#
-# over clusters c of windows close in time, whose errors are correlated (White 1980; Liang and Zeger 1986),
-# times C / (C - 1) and with Student's t of C - 1 degrees, as C clusters know their spread only so well (eight
-# of them still held 82 % of 160 true values instead of 90 in a simulation, thirty to fifty 92 to 94 %). A
-# parameter that hardly moves any prediction gets an interval as wide as that is.
-
-_HORIZON_S, _CLUSTER_S, _WINDOWS = 0.25, 4.0, 600
-_LEVEL = 0.9
-_COLLINEAR = 1e6  # variance inflation: beyond it another parameter does the same
-_SHOWN = 1e-10  # of the largest information; below that a parameter moves nothing
-
-
-@torch.no_grad()
-def declared_confidence(model: NeuralSDE, windows: Windows, scale: Tensor) -> Parameters:
-    """Declared parameters of a model that was fitted to windows, with half-widths of 90 % intervals.
-
-    One is None where no prediction depends on the parameter, so that the data cannot show it, or all windows are of one
-    cluster. `scale` is that of the error channels (n_error,).
-    """
-    told = model.system.all_declared()
-    parameters = [(k, *owner_of(model.system, k.replace(".", "/")), *told[k]) for k in told]
-    out: Parameters = {}
-    if not parameters:
-        return out
-    pick = thinned(torch.arange(len(windows)), _WINDOWS)
-    x, u, t0 = windows.batch(pick)
-    steps = max(1, min(round(_HORIZON_S / windows.dt_model), windows.horizon))
-    u, before = model.applied_pair(u, windows.dt_model, inputs_before(model.system, windows, pick))
-    u = u[:, :steps]
-    start = model.project(windows.initial_states(pick))
-
-    def errors() -> Tensor:
-        path = model.paths(
-            start, u, dt=windows.dt_model, noise=None, check=False, t0=t0.to(x.dtype), u_before=before
-        )
-        e = model.system.error(path[0, :, steps], x[:, steps]) / scale
-        return e.double().cpu()
-
-    base = errors()
-    columns = []
-    for _, owner, own, _, _ in parameters:
-        raw = owner.raw[own].data
-        for i in range(raw.numel()):
-            old = raw[i].clone()
-            raw[i] = old + 0.02
-            high = errors()
-            raw[i] = old - 0.02
-            columns.append((high - errors()) / 0.04)
-            raw[i] = old
-    jacobian = torch.stack(columns, -1)  # (B, n_error, k)
-    information = torch.einsum("bek,bel->kl", jacobian, jacobian)
-    ridge = 1e-9 * information.diagonal().mean().clamp_min(1e-12)
-    inverse = torch.linalg.inv(information + ridge * torch.eye(len(information), dtype=torch.float64))
-    score = torch.einsum("bek,be->bk", jacobian, base)
-    cluster = ((t0 - t0.min()) // _CLUSTER_S).long()
-    run = torch.cumsum((torch.diff(t0, prepend=t0[:1]) < 0).long(), 0)
-    _, label = torch.unique(run * (int(cluster.max()) + 1) + cluster, return_inverse=True)
-    sums = torch.zeros(int(label.max()) + 1, score.shape[1], dtype=torch.float64)
-    sums.index_add_(0, label.cpu(), score)
-    sums = sums - sums.mean(0)
-    covariance = inverse @ (sums.T @ sums) @ inverse
-    clusters = len(sums)
-    # few clusters know their own spread badly
-    widening = float(stdtrit(max(clusters - 1, 1), 0.5 * (1 + _LEVEL)))
-    widening *= (clusters / max(clusters - 1, 1)) ** 0.5
-    deviation = widening * covariance.diagonal().clamp_min(0).sqrt()
-    alone = inverse.diagonal() * information.diagonal() < _COLLINEAR
-    shown = alone & (information.diagonal() > _SHOWN * information.diagonal().max()) & (clusters > 1)
-    counts = [value.numel() for *_, value, _ in parameters]
-    each = zip(parameters, deviation.split(counts), shown.split(counts), strict=True)
-    for (name, owner, own, value, unit), of_raw, sure in each:
-        slope = _slope(owner, own)
-        half = (of_raw.to(slope) * slope.abs()).tolist()
-        known = [h if s else None for h, s in zip(half, sure.tolist(), strict=True)]
-        out[name] = {"value": value.tolist(), "half_width_90": known, "unit": unit}
-    return out
-
-
-def _slope(owner: Any, own: str) -> Tensor:
-    """d value / d raw."""
-    raw = owner.raw[own].data
-    old = raw.clone()
-    raw.add_(1e-3)
-    high: Tensor = owner.value(own).clone()
-    raw.copy_(old - 1e-3)
-    low = owner.value(own).clone()
-    raw.copy_(old)
-    return (high - low) / 2e-3
-
 
 _FAST = ("filter.", "h.", "log_", "system.")
 _FAST_RATE = 3.0
@@ -290,14 +190,14 @@ def fit_sde(task: Task) -> Fitted:
     fit = Fit(model, train, held, windows, scale=scale, loss=loss, task=task)
     fit.run()
 
-    def parameters() -> Parameters:
-        if not spec.physics:
-            return {}
-        found = declared_confidence(model, train, scale)
-        nu = model.system.nu
-        if not any(np.ptp(run.u[:, :nu], axis=0).any() for run in task.runs):
-            return found
-        none = {name: [None] * value.numel() for name, (value, _) in model.system.all_declared().items()}
-        return {name: {**p, "half_width_90": none[name], "note": _NO_INTERVAL} for name, p in found.items()}
-
-    return Fitted(model, fit.progress, parameters)
+    declared = model.system.all_declared() if spec.physics else {}
+    parameters: Parameters = {
+        name: {
+            "value": value.tolist(),
+            "half_width_90": [None] * value.numel(),
+            "unit": unit,
+            "note": _NO_INTERVAL,
+        }
+        for name, (value, unit) in declared.items()
+    }
+    return Fitted(model, fit.progress, lambda: parameters)

@@ -11,14 +11,13 @@ import pytest
 from scipy.signal import lfilter
 
 import nsde_torch
-from nsde_torch.data import DataSet, Run
+from nsde_torch.data import DataSet
 from nsde_torch.data.raw import RawRun
-from nsde_torch.diagnosis.reading import cut_at
 from nsde_torch.diagnosis.stages import MOVING_ROWS
 from nsde_torch.diagnosis.text import lines
 from nsde_torch.errors import ConfigError
 
-HOME = "double_pendulum:DoublePendulum"
+HOME, SPRING = "double_pendulum:DoublePendulum", "mass_spring_damper"
 
 
 @pytest.fixture(scope="module")
@@ -37,6 +36,10 @@ def _importable(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(root / "examples" / "double_pendulum")
 
 
+def diagnosed(runs: DataSet | Sequence[RawRun], system: str = SPRING, **options: Any) -> dict[str, Any]:
+    return dict(nsde_torch.diagnose(runs, system=system, say=False, **options).content())
+
+
 def off(data: DataSet, column: int, by: Mapping[str, float]) -> DataSet:
     """Runs in some of which a state reads too much."""
     out = []
@@ -45,13 +48,6 @@ def off(data: DataSet, column: int, by: Mapping[str, float]) -> DataSet:
         x[:, column] += by.get(run.name, 0.0)
         out.append(replace(run, x=x))
     return replace(data, runs=tuple(out))
-
-
-def diagnosed(
-    data: DataSet, effects: Sequence[str] = (), system: str = "mass_spring_damper"
-) -> dict[str, Any]:
-    found = nsde_torch.diagnose(data, system=system, effects=list(effects), say=False)
-    return dict(found.content())
 
 
 def sizes(content: dict[str, Any], effect: str) -> dict[str, tuple[float, float, float]]:
@@ -63,7 +59,7 @@ def sizes(content: dict[str, Any], effect: str) -> dict[str, tuple[float, float,
 @pytest.mark.slow
 def test_a_zero_of_a_joint_that_differs_has_its_runs_and_the_option_that_takes_it_out(folder: Path) -> None:
     data = off(nsde_torch.read(folder, system=HOME), 1, {"run_1": 0.12, "run_3": -0.08})
-    content = diagnosed(data, ["coulomb_friction[q1]", "coulomb_friction[q2]"], HOME)
+    content = diagnosed(data, HOME, effects=["coulomb_friction[q1]", "coulomb_friction[q2]"])
     assert content["added"] == ["run_zero[q2]"]
     found = sizes(content, "run_zero[q2]")
     middle = found["run_2"][0]  # no stretch of run_0 is long enough without the rows at standstill
@@ -96,7 +92,7 @@ def test_a_run_that_is_not_there_is_refused(tmp_path: Path) -> None:
 STEP = 0.01
 
 
-def pushed_spring(seed: int, seconds: float, push: Any) -> Run:
+def pushed_spring(seed: int, seconds: float, push: Any) -> RawRun:
     """A spring that is pushed by u and `push(t, v, u, q)` [m/s2]."""
     rng = np.random.default_rng(seed)
     t = STEP * np.arange(round(seconds / STEP) + 1)
@@ -108,28 +104,20 @@ def pushed_spring(seed: int, seconds: float, push: Any) -> Run:
         for _ in range(10):  # semi-implicit Euler, 1 ms
             v += 1e-3 * (force - 4.0 * q - 0.5 * v + push(now, v, force, q) + rng.normal(0.0, 0.05))
             q += 1e-3 * v
-    return Run("run", t, rows + rng.normal(0.0, (0.002, 0.01), rows.shape), u[:, None])
+    return RawRun(f"run_{seed}", t, rows + rng.normal(0.0, (0.002, 0.01), rows.shape), u[:, None])
 
 
 FEW = ("coulomb_friction", "quadratic_damping", "actuator_gain_drift", "constant_force")
 
 
-def diagnosed_file(folder: Path, *runs: Run, few: Sequence[str] = FEW) -> dict[str, Any]:
-    folder.mkdir()
-    for r, run in enumerate(runs):
-        columns = np.column_stack((run.t, run.x, run.u))
-        np.savetxt(folder / f"run_{r}.csv", columns, "%.6f", ",", header="t,q,q_dot,force", comments="")
-    return dict(nsde_torch.diagnose(folder, system="mass_spring_damper", candidates=few, say=False).content())
-
-
 @pytest.mark.slow
-def test_a_gain_that_falls_at_moments_of_two_runs_is_no_drift(tmp_path: Path) -> None:
+def test_a_gain_that_falls_at_moments_of_two_runs_is_no_drift() -> None:
     moments = (17.0, 12.5)
     runs = [
         pushed_spring(r, 30.0, lambda t, v, u, q, at=at: -0.25 * u * (t > at))
         for r, at in enumerate(moments)  # type: ignore[misc]
     ]
-    content = diagnosed_file(tmp_path / "gain", *runs)
+    content = diagnosed(runs, candidates=FEW)
     name = "run_difference[force_gain]"
     assert content["added"] == [name]
     assert not any(f["lead"] for f in content["findings"])
@@ -144,11 +132,11 @@ def test_a_gain_that_falls_at_moments_of_two_runs_is_no_drift(tmp_path: Path) ->
     assert values == pytest.approx([0.75, 0.75, 1.0, 1.0], abs=0.02)
 
 
-def test_a_gust_in_one_run_has_its_time_and_its_size(tmp_path: Path) -> None:
+def test_a_gust_in_one_run_has_its_time_and_its_size() -> None:
     runs = [
         pushed_spring(r, 30.0, lambda t, v, u, q, r=r: 0.2 * (r == 1 and 11.0 < t < 18.0)) for r in range(3)
     ]  # type: ignore[misc]
-    content = diagnosed_file(tmp_path / "gust", *runs)
+    content = diagnosed(runs, candidates=FEW)
     assert content["added"] == ["run_force"]
     ((begin, end),) = content["data"]["moments"].values()
     assert begin[0] - 0.1 <= 11.0 <= begin[1] + 0.1
@@ -160,13 +148,13 @@ def test_a_gust_in_one_run_has_its_time_and_its_size(tmp_path: Path) -> None:
     assert sorted(map(abs, sizes.values()))[-2] < 0.02
 
 
-def test_an_oscillation_has_a_phase_of_its_own_in_each_run(tmp_path: Path) -> None:
+def test_an_oscillation_has_a_phase_of_its_own_in_each_run() -> None:
     phases = [0.3, 2.9, 5.1]
     runs = [
         pushed_spring(r, 25.0, lambda t, v, u, q, p=p: 0.2 * np.sin(2.0 * np.pi * 1.37 * t + p))  # type: ignore[misc]
         for r, p in enumerate(phases)
     ]
-    content = diagnosed_file(tmp_path / "wave", *runs, few=(*FEW, "hidden_mass", "periodic_force"))
+    content = diagnosed(runs, candidates=(*FEW, "hidden_mass", "periodic_force"))
     assert content["added"] == ["run_periodic_force"]
     assert not any(f["lead"] for f in content["findings"])
     found = content["parameters"]
@@ -180,57 +168,46 @@ def test_an_oscillation_has_a_phase_of_its_own_in_each_run(tmp_path: Path) -> No
         assert high - low < 0.03
 
 
-def test_what_is_no_candidate_differs_in_no_run(tmp_path: Path) -> None:
+def test_what_is_no_candidate_differs_in_no_run() -> None:
     runs = [pushed_spring(r, 15.0, lambda t, v, u, q, r=r: 0.2 * (r == 1)) for r in range(3)]  # type: ignore[misc]
-    content = diagnosed_file(tmp_path / "push", *runs, few=("coulomb_friction",))
+    content = diagnosed(runs, candidates=("coulomb_friction",))
     assert "run_force" not in content["added"]
     assert content["verdict"] == "unexplained"
 
 
-def test_wind_that_comes_and_goes_is_no_gust(tmp_path: Path) -> None:
-    runs = []
-    for r in range(3):
-        white = np.random.default_rng(50 + r).normal(size=6300)
-        wind = 0.2 * lfilter([(1.0 - 0.9975**2) ** 0.5], [1.0, -0.9975], white)  # lasts 2 s
-        runs.append(pushed_spring(r, 30.0, lambda t, v, u, q, w=wind: w[int(200.0 * t)]))  # type: ignore[misc]
-    content = diagnosed_file(tmp_path / "wind", *runs)
-    assert content["added"] == []
-    assert content["data"]["moments"] == {}
-
-
-def test_runs_are_cut_where_the_times_of_two_moments_overlap() -> None:
-    run = Run("run", STEP * np.arange(600), np.zeros((600, 2)), np.zeros((600, 1)))
-    parts = cut_at([run], {"run": ((2.0, 2.4), (2.2, 2.6))})
-    assert [part.name for part in parts] == ["run before 2.00 s", "run from 2.60 s"]
-
-
-def test_one_run_is_not_held_against_others(tmp_path: Path) -> None:
-    run = pushed_spring(5, 20.0, lambda t, v, u, q: 0.5)
-    columns = np.column_stack((run.t, run.x, run.u))
-    np.savetxt(tmp_path / "run_0.csv", columns, "%.6f", ",", header="t,q,q_dot,force", comments="")
-    few = ["quadratic_damping"]
-    content = nsde_torch.diagnose(tmp_path, system="mass_spring_damper", candidates=few, say=False).content()
+def test_one_run_is_not_held_against_others() -> None:
+    content = diagnosed([pushed_spring(5, 20.0, lambda t, v, u, q: 0.5)], candidates=["quadratic_damping"])
     # a steady force, of which that of each run alone is none of the candidates
     assert content["verdict"] == "unexplained"
     assert (content["added"], content["not_done"]) == ([], [])
 
 
+def test_wind_that_comes_and_goes_is_no_gust() -> None:
+    runs = []
+    for r in range(3):
+        white = np.random.default_rng(50 + r).normal(size=6300)
+        wind = 0.2 * lfilter([(1.0 - 0.9975**2) ** 0.5], [1.0, -0.9975], white)  # lasts 2 s
+        runs.append(pushed_spring(r, 30.0, lambda t, v, u, q, w=wind: w[int(200.0 * t)]))  # type: ignore[misc]
+    content = diagnosed(runs, candidates=FEW)
+    assert content["added"] == []
+    assert content["data"]["moments"] == {}
+
+
 def test_rows_in_which_it_moves_that_are_too_few_cost_no_selection() -> None:
     """A spring that is shaken at 1.4 and 2 Hz turns round after 27 rows at most, and a likelihood needs 32."""
+
+    def shaken(t: Any) -> Any:
+        return 3.0 * np.sin(9.0 * t) + 2.0 * np.sin(13.0 * t + 1.0)
+
     runs = []
     for seed in (1, 2):
         run = pushed_spring(seed, 20.0, lambda t, v, u, q: shaken(t) - u - 0.3 * np.tanh(v / 0.01))
-        runs.append(RawRun(f"run_{seed}", run.t[::2], run.x[::2], shaken(run.t[::2])[:, None]))
-    few = ["coulomb_friction"]
-    found = nsde_torch.diagnose(runs, system="mass_spring_damper", candidates=few, say=False)
-    assert found.added == few
-    (left,) = found.not_done
-    assert left.stage == MOVING_ROWS
-    assert "the longest 27 rows (0.54 s): let it move one way for longer at a time" in left.why
-
-
-def shaken(t: Any) -> Any:
-    return 3.0 * np.sin(9.0 * t) + 2.0 * np.sin(13.0 * t + 1.0)
+        runs.append(RawRun(run.name, run.t[::2], run.x[::2], shaken(run.t[::2])[:, None]))
+    content = diagnosed(runs, candidates=["coulomb_friction"])
+    assert content["added"] == ["coulomb_friction"]
+    (left,) = content["not_done"]
+    assert left["stage"] == MOVING_ROWS
+    assert "the longest 27 rows (0.54 s): let it move one way for longer at a time" in left["why"]
 
 
 @pytest.mark.parametrize(
@@ -250,8 +227,8 @@ def test_it_is_said_and_told_apart(push: Any, behind: float, variable: str, word
         run = pushed_spring(r, 8.0, push)
         decay = STEP / (behind + STEP)
         logged = lfilter([decay], [1.0, decay - 1.0], run.u, axis=0)
-        runs.append(RawRun(f"run_{r}", run.t, run.x, logged))
-    content = nsde_torch.diagnose(runs, system="mass_spring_damper", max_effects=0, say=False).content()
+        runs.append(replace(run, u=logged))
+    content = diagnosed(runs, max_effects=0)
     assert content["verdict"] == ("unexplained" if words else "no_effect")
     if words:
         assert content["structure"]["after"][0]["variable"] == variable

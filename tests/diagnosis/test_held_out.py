@@ -8,11 +8,7 @@ from typing import cast
 import numpy as np
 import pytest
 
-from nsde_torch.diagnosis.cross_validation import (
-    HeldOut,
-    Scored,
-    one_step,
-)
+from nsde_torch.diagnosis.cross_validation import HeldOut, Scored, one_step
 from nsde_torch.diagnosis.decision import _shared, judged_on_runs_left_out, sized
 from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.joint_selection import Evidence
@@ -24,30 +20,20 @@ from nsde_torch.systems import make_system
 from tests.helpers.diagnosed import diagnosed
 
 SPRING = "mass_spring_damper"
+NONE = cast(Regression, None)
 
 
-# ---- what judges --------------------------------------------------------------------------------------
-
-
-def scored(density: np.ndarray, rates: np.ndarray) -> Scored:
-    """Two runs of 20 s at 10 Hz, channels v and w."""
-    rows = len(density)
-    run, t = np.arange(rows) * 2 // rows, np.tile(np.arange(rows // 2) / 10.0, 2)
-    return Scored(("v", "w"), ("m/s2", "rad/s2"), density, run, t, np.square(rates), run, t)
+def found_of(name: str, *moves: str) -> Found:
+    return Found(name, Evidence(100.0, 5.0, 1e-9), (), moves=moves)
 
 
 def test_the_gain_of_the_log_likelihood_is_the_sum_over_steps_and_its_interval_holds() -> None:
     system, inside = make_system(SPRING), 0
+    run, t, none = np.arange(400) // 200, np.tile(np.arange(200) / 10.0, 2), np.zeros((400, 1))
     for seed in range(60):
         rng = np.random.default_rng(seed)
-        before = np.zeros((400, 1))
         after = 0.3 + np.repeat(rng.normal(size=(40, 1)), 10, 0)  # what lasts for a second
-        first, second = (
-            replace(
-                scored(np.zeros((400, 2)), np.zeros((400, 2))), names=("q_dot",), units=("m/s2",), density=d
-            )
-            for d in (before, after)
-        )
+        first, second = (Scored(("q_dot",), ("m/s2",), d, run, t, none, run, t) for d in (none, after))
         content = one_step(first, second, system, seed=0)
         assert content["nats"] == pytest.approx(after.sum())
         inside += content["low_90"] <= 0.3 * 400 <= content["high_90"]
@@ -59,12 +45,8 @@ def test_a_residual_that_grows_on_one_channel_doubts_what_acts_there_though_it_e
         grows = {"low_90": 0.05, "high_90": 0.1, "ratio": ratio}
         falls = {"low_90": -0.2, "high_90": -0.1, "ratio": 0.1}
         errors = HeldOut({"residual": {"surge": grows, "yaw": falls}}, True, ("a", "b"), {}, inputs)
-        evidence, none = Evidence(100.0, 5.0, 1e-9), cast(Regression, None)
-        both = [
-            Found(name, evidence, (), moves=m)
-            for name, m in (("lag", ("surge", "yaw")), ("ripple", ("yaw",)))
-        ]
-        first = Outcome("effect_found", none, none, both, None)
+        both = [found_of("lag", "surge", "yaw"), found_of("ripple", "yaw")]
+        first = Outcome("effect_found", NONE, NONE, both, None)
         return [f.provisional for f in judged_on_runs_left_out(first, errors).found]
 
     assert judged(1.4) == ["the residual of surge on runs left out is larger with the effects", ""]
@@ -76,7 +58,7 @@ def test_three_terms_of_one_variable_with_a_law_among_them_may_share_a_law() -> 
     laws = ("force = c1 max(q - k1, 0)", "force = c1 q_dot abs(q)")
     names = ("stop_above", "stop_below", "constant_force", *laws)
     system = make_system(SPRING, effects=names)
-    found = [Found(name, Evidence(100.0, 5.0, 1e-9), (), moves=("q_dot",)) for name in names]
+    found = [found_of(name, "q_dot") for name in names]
     assert [bool(_shared(f, found, system)) for f in found] == [True, True, False, True, False]
     few = [f for f in found if f.name != laws[0]]
     assert not any(_shared(f, few, system) for f in few), "a spring between two stops"
@@ -85,11 +67,9 @@ def test_three_terms_of_one_variable_with_a_law_among_them_may_share_a_law() -> 
 
 
 def test_no_change_at_a_moment_is_sure_where_the_residual_depends_on_time() -> None:
-    names = ("run_difference[gain]", "coulomb_friction")
-    found = [Found(name, Evidence(100.0, 5.0, 1e-9), (), moves=("q_dot",)) for name in names]
+    found = [found_of(name, "q_dot") for name in ("run_difference[gain]", "coulomb_friction")]
     left = [Dependence("q_dot", "time", 1e-6, 0.05, 0.5, 40.0, 4)]
-    none = cast(Regression, None)
-    outcome = Outcome("effect_found", none, none, found, None, structured=left)
+    outcome = Outcome("effect_found", NONE, NONE, found, None, structured=left)
 
     def judged(moments: dict[str, tuple[tuple[float, float], ...]], of: Outcome = outcome) -> list[str]:
         log = cast(Log, SimpleNamespace(runs=[SimpleNamespace(inferred=())], moments=moments))
@@ -126,15 +106,11 @@ def test_what_is_beside_physics_that_may_be_nothing_or_swings_at_any_frequency_i
     system = make_system(SPRING, effects=["hidden_mass"])
     labels = ["gain", "damping", "hidden_mass.mass", "hidden_mass.frequency"]
     final = SimpleNamespace(labels=labels, of=lambda name: [2, 3], system=system)
-    found = [Found("hidden_mass", Evidence(100.0, 5.0, 1e-9), ())]
-    outcome = Estimated(
-        "effect_found", declared, cast(Regression, SimpleNamespace(vector=final)), found, None
-    )
-    assert sized(outcome).found[0].provisional.startswith(why)
-    assert bool(sized(outcome).found[0].provisional) == bool(why)
-
-
-# ---- feedback -----------------------------------------------------------------------------------------
+    last = cast(Regression, SimpleNamespace(vector=final))
+    outcome = Estimated("effect_found", declared, last, [found_of("hidden_mass")], None)
+    said = sized(outcome).found[0].provisional
+    assert said.startswith(why)
+    assert bool(said) == bool(why)
 
 
 @pytest.mark.slow

@@ -22,7 +22,7 @@ from nsde_torch.diagnosis.stages import needed
 from nsde_torch.diagnosis.text import lines
 from nsde_torch.effects import Parameter, Port
 from nsde_torch.errors import DataError, NsdeError
-from nsde_torch.systems import Defaults, ErrorGroup, ResidualPort, System
+from nsde_torch.systems import Defaults, ResidualPort, System
 
 OPTIONAL = ("undone", "without_standstill", "guard_of", "cross_validated", "ceiling")
 
@@ -142,16 +142,10 @@ class FreePendulum(System):
     sensor_noise = True
     defaults = Defaults(0.02, 25, (0.002, 0.1), 0.1, 1.0, "euler_maruyama")
     PARAMETERS = {"gravity": Parameter(15.0, "1/s2", low=0.0), "damping": Parameter(0.2, "1/s", low=0.0)}
-    error_names = state_names
-    error_groups = (ErrorGroup("angle", (0,), "rad"), ErrorGroup("rate", (1,), "rad/s"))
-    feature_names, feature_units = state_names, state_units
 
     def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
         swing = -self.value("gravity") * torch.sin(x[:, :1]) - self.value("damping") * x[:, 1:]
-        return torch.cat((x[:, 1:], swing + forces.get(Port.TORQUE, torch.zeros_like(swing))), 1)
-
-    def features(self, x: Tensor) -> Tensor:
-        return x
+        return torch.cat((x[:, 1:], swing + forces.get(Port.TORQUE, 0.0)), 1)
 
 
 def swinging(rows: int, noise: float) -> list[RawRun]:

@@ -1,26 +1,15 @@
 """What is there in one run only is told as that, and never where every run has it or none."""
 
-from functools import cache
-
 import numpy as np
 import pytest
 
-from nsde_torch.diagnosis.residual_tests import (
-    Dependence,
-    dependences,
-    in_one_run,
-)
-from tests.helpers.residuals import MadeResiduals, Push
-
-
-@cache
-def springs(runs: int) -> MadeResiduals:
-    return MadeResiduals((8.0,) * runs)
+from nsde_torch.diagnosis.residual_tests import Dependence, dependences, in_one_run
+from tests.helpers.residuals import MadeResiduals, Push, made_residuals
 
 
 def found(push: Push | None, runs: int, seed: int = 0, *, loud: float = 1.0) -> Dependence | None:
     """The test of one run on the speed, of white innovations and a push; the last run may be louder."""
-    left = springs(runs).made(push, seed, loud=loud)
+    left = made_residuals(runs).made(push, seed, loud=loud)
     functions, odd = left.functions["q_dot"]()
     return in_one_run(left, 0, "q_dot", functions, odd)
 

@@ -350,4 +350,4 @@ def test_dry_friction_of_a_motor_whose_current_settles_within_a_row() -> None:
     assert_interval(content["parameters"], "coulomb_friction.size", 3.0, slack=0.05, width=0.7)
     errors = content["errors"]  # of predictions: by a rule of Runge and Kutta all of them diverge
     assert errors["diverged"] == {"before": 0, "after": 0}
-    assert errors["after"]["speed"]["0.25"] < errors["before"]["speed"]["0.25"]
+    assert errors["after"]["w"]["0.25"] < errors["before"]["w"]["0.25"]

@@ -9,7 +9,7 @@ from nsde_torch.data import DataSet
 from nsde_torch.data.raw import RawRun
 from nsde_torch.effects import Coordinate, Parameter, Port
 from nsde_torch.recording import assemble
-from nsde_torch.systems import Defaults, ErrorGroup, ResidualPort, System
+from nsde_torch.systems import Defaults, ResidualPort, System
 
 PULL, DRAG, BACK = 40.0, 0.6, 0.05
 """rad/s2 of an ampere, 1/s, and A (of a volt, over 1 ohm) of a rad/s."""
@@ -36,21 +36,13 @@ class CoilMotor(System):
         "decay": Parameter(200.0, "1/s", low=0.0),
         "back": Parameter(10.0, "A/rad", low=0.0),
     }
-    error_names = state_names
-    error_groups = (
-        ErrorGroup("angle", (0,), "rad"),
-        ErrorGroup("speed", (1,), "rad/s"),
-        ErrorGroup("current", (2,), "A"),
-    )
     feature_names, feature_units = ("w", "i"), ("rad/s", "A")
 
     def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: dict[Port, Tensor]) -> Tensor:
         _, w, i = x.split(1, 1)
-        turn = self.value("pull") * i - self.value("drag") * w
-        turn = turn + forces[Port.TORQUE] if Port.TORQUE in forces else turn
-        return torch.cat(
-            (w, turn, self.value("fast") * u - self.value("decay") * i - self.value("back") * w), 1
-        )
+        turn = self.value("pull") * i - self.value("drag") * w + forces.get(Port.TORQUE, 0.0)
+        rise = self.value("fast") * u - self.value("decay") * i - self.value("back") * w
+        return torch.cat((w, turn, rise), 1)
 
     def features(self, x: Tensor) -> Tensor:
         return x[:, 1:]

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from nsde_torch.data import Run
 from nsde_torch.effects import Parameter, Port
-from nsde_torch.systems import Defaults, ErrorGroup, ResidualPort, System
+from nsde_torch.systems import Defaults, ResidualPort, System
 
 HEATS, FAST, SHARED, LOSS = 2.0, 2.0, 0.02, 0.01
 DT, FINE = 2.0, 40  # step of the log [s], and parts that it is simulated in
@@ -34,22 +34,12 @@ class Plate(System):
         "shared": Parameter(SHARED, "1/s", low=0.0),
         "loss": Parameter(LOSS, "1/s", low=0.0),
     }
-    error_names = state_names
-    error_groups = (ErrorGroup("temperature", (0, 1), "K"),)
-    feature_names, feature_units = state_names, state_units
 
     def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
         over = x[:, :1] - x[:, 1:]
         heater = self.value("heats") * u - self.value("fast") * over
         plate = self.value("shared") * over - self.value("loss") * x[:, 1:]
-        out = torch.cat((heater, plate), 1)
-        return out + forces[HEAT] if HEAT in forces else out
-
-    def features(self, x: Tensor) -> Tensor:
-        return x
-
-    def error(self, predicted: Tensor, measured: Tensor) -> Tensor:
-        return predicted - measured
+        return torch.cat((heater, plate), 1) + forces.get(HEAT, 0.0)
 
 
 def heated(effect: str, late: float, *, noise: float = 0.02, seed: int = 0) -> list[Run]:
@@ -68,12 +58,8 @@ def heated(effect: str, late: float, *, noise: float = 0.02, seed: int = 0) -> l
             for k, now in enumerate(fine):
                 later = now + (m - now) * keep
                 acts[k], m = now + (m - now) * (1.0 - keep) * late / h, later  # its mean over the part
-        z, rows = (
-            np.array(
-                [u[0] * HEATS * (1.0 / FAST + SHARED / FAST / LOSS), u[0] * HEATS * SHARED / FAST / LOSS]
-            ),
-            [],
-        )
+        warm = u[0] * HEATS / FAST  # of the heater above the plate
+        z, rows = np.array([warm * (1.0 + SHARED / LOSS), warm * SHARED / LOSS]), []
         for k in range(len(fine)):
             if k % FINE == 0:
                 rows.append(z + noise * rng.standard_normal(2))

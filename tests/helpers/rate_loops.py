@@ -18,7 +18,7 @@ from torch import Tensor
 
 from nsde_torch.data import Run
 from nsde_torch.effects import Parameter, Port
-from nsde_torch.systems import Defaults, ErrorGroup, ResidualPort, System
+from nsde_torch.systems import Defaults, ResidualPort, System
 
 Array = NDArray[np.float64]
 
@@ -41,22 +41,12 @@ class RateLoop(System):
     ports = {Port.FORCE: 1}
     residual_ports = {Port.FORCE: ResidualPort(1, 1.0, "rad/s2")}
     defaults = Defaults(0.01, 20, (0.01, 0.5), 0.05, 1.0, "euler_maruyama")
-    error_names = state_names
-    error_groups = (ErrorGroup("angle", (0,), "rad"), ErrorGroup("rate", (1,), "rad/s"))
-    feature_names = state_names
-    feature_units = state_units
     sensor_noise = True
     position_derivatives = (("angle", "rate", "world"),)
     PARAMETERS = {"gain": Parameter(60.0, "rad/s2", low=0.0)}
 
     def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
-        turn = self.value("gain") * u
-        if Port.FORCE in forces:
-            turn = turn + forces[Port.FORCE]
-        return torch.cat((x[:, 1:], turn), 1)
-
-    def features(self, x: Tensor) -> Tensor:
-        return x
+        return torch.cat((x[:, 1:], self.value("gain") * u + forces.get(Port.FORCE, 0.0)), 1)
 
 
 def _wander(rng: np.random.Generator, n: int, width: float, dt: float) -> Array:

@@ -27,18 +27,12 @@ class Decay(System):
     ports = {Port.FORCE: 1}
     residual_ports = {Port.FORCE: ResidualPort(1, 0.1, "1/s")}
     defaults = Defaults(DT, 20, (0.5,), 0.05, 1.0, "euler_maruyama")
-    error_names = ("x",)
     error_groups = (ErrorGroup("position", (0,), "1"),)
-    feature_names = ("x",)
-    feature_units = ("1",)
     PARAMETERS = {"rate": Parameter(1.0, "1/s", low=0.0)}
 
     def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
         rate = u - self.value("rate") * x
         return rate + forces[Port.FORCE] if Port.FORCE in forces else rate
-
-    def features(self, x: Tensor) -> Tensor:
-        return x
 
 
 class Gusty(Decay):

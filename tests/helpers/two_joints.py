@@ -30,8 +30,7 @@ class TwoJoints(System):
     PARAMETERS = {"inertia": Parameter((0.5, 0.2), "kg m2", low=0.0)}
 
     def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
-        push = u + forces[Port.TORQUE] if Port.TORQUE in forces else u
-        acceleration = push / self.value("inertia")
+        acceleration = (u + forces.get(Port.TORQUE, 0.0)) / self.value("inertia")
         return torch.cat((acceleration[:, 1:], acceleration[:, :1], x[:, :2]), 1)
 
     def quantity(self, name: str, x: Tensor, u: Tensor) -> Tensor:

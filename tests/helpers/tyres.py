@@ -9,7 +9,7 @@ from nsde_torch.data import DataSet
 from nsde_torch.data.raw import RawRun
 from nsde_torch.effects import Coordinate, Parameter, Port
 from nsde_torch.recording import assemble
-from nsde_torch.systems import Defaults, ErrorGroup, ResidualPort, System
+from nsde_torch.systems import Defaults, ResidualPort, System
 
 CAR, WHEEL, TYRE, LAG_S = 0.96, 12.5, 4.2, 0.05
 TRUTH, LAG = {"car": CAR, "wheel": WHEEL, "tyre": TYRE}, {"time_constant": LAG_S}
@@ -32,17 +32,11 @@ class Tyre(System):
         "wheel": Parameter(10.0, "1/Mg", low=0.0),
         "tyre": Parameter(4.0, "kN s/m", low=0.0),
     }
-    error_names = state_names
-    error_groups = (ErrorGroup("speed", (0, 1), "m/s"),)
-    feature_names, feature_units = ("v", "rim"), ("m/s", "m/s")
 
     def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: dict[Port, Tensor]) -> Tensor:
         f = self.value("tyre") * (x[:, 1:] - x[:, :1])
         rates = torch.cat((self.value("car") * f, self.value("wheel") * (u - f)), 1)
-        return rates + forces[Port.FORCE] if Port.FORCE in forces else rates
-
-    def features(self, x: Tensor) -> Tensor:
-        return x
+        return rates + forces.get(Port.FORCE, 0.0)
 
 
 def drives(seed: int, *, lag: float = LAG_S, seconds: float = 30.0) -> DataSet:

@@ -86,7 +86,7 @@ def test_a_model_of_it_predicts() -> None:
     model = nsde_torch.train(data, system=CoilMotor, model="sysid", say=False)
     errors = model.metrics["test"]
     assert errors["diverged"] == 0
-    assert errors["errors"]["model"]["speed"]["1"] < 0.02 * errors["errors"]["hold"]["speed"]["1"]
+    assert errors["errors"]["model"]["w"]["1"] < 0.02 * errors["errors"]["hold"]["w"]["1"]
 
 
 def test_its_step_can_be_traced_as_an_export_asks_for() -> None:

@@ -17,11 +17,6 @@ from tests.helpers.diagnosed import Diagnosed, diagnosed, sound_spring
 
 
 @pytest.fixture(scope="module")
-def nothing() -> Diagnosed:
-    return sound_spring()
-
-
-@pytest.fixture(scope="module")
 def missed() -> Diagnosed:
     """Dry friction, of which no candidate knows."""
     options = Options(candidates=("cubic_stiffness",))
@@ -29,7 +24,8 @@ def missed() -> Diagnosed:
 
 
 @pytest.mark.slow
-def test_where_nothing_is_missing_functions_explain_nothing(nothing: Diagnosed) -> None:
+def test_where_nothing_is_missing_functions_explain_nothing() -> None:
+    nothing = sound_spring()
     own = nothing[1]["flexible"]
     assert (own["left"], own["explained"], own["left_nats"], own["why_not"]) == (False, None, 0.0, None)
     assert own["sentence"] == "Functions of what was measured explain nothing of blocks of time left out."
@@ -37,17 +33,14 @@ def test_where_nothing_is_missing_functions_explain_nothing(nothing: Diagnosed) 
     assert "flexible" not in pictures(*nothing)
 
 
-def test_what_is_left_far_above_white_noise_is_said_beside_that_nothing_is_missing(
-    nothing: Diagnosed,
-) -> None:
-    diagnosis, said = nothing
+def test_what_is_left_far_above_white_noise_is_said_beside_that_nothing_is_missing() -> None:
+    diagnosis, said = sound_spring()
     assert "times white noise" not in said["summary"]
     channels = [replace(c, after=50.0 * c.floor) for c in diagnosis.explanation.channels]
     much = replace(diagnosis, explanation=replace(diagnosis.explanation, channels=channels))
     summary_of = content(much)["summary"]
-    assert summary_of.startswith(
-        "Nothing is missing that a test or a function of what was measured shows, but"
-    )
+    start = "Nothing is missing that a test or a function of what was measured shows, but"
+    assert summary_of.startswith(start)
     assert "of q_dot is 50 times white noise" in summary_of
 
 

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from scipy.signal import butter, sosfiltfilt
@@ -13,8 +12,7 @@ import nsde_torch
 from nsde_torch.data import RawRun, Run
 from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.pipeline import diagnose
-from nsde_torch.diagnosis.report import page, pictures
-from nsde_torch.diagnosis.result import Diagnosis
+from nsde_torch.diagnosis.report import page
 from nsde_torch.diagnosis.text import lines
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.systems import make_system
@@ -31,21 +29,9 @@ def told(system: str, change: Callable[[Run], Run], *effects: Any, **making: Any
     return found, found.content()
 
 
-def html_of(found: Diagnosis, content: dict[str, Any]) -> str:
-    figures = pictures(found, content)
-    html = page(content, figures, width=found.width)
-    for figure in figures.values():
-        plt.close(figure)
-    return html
-
-
-def turned(run: Run) -> Run:
-    return replace(run, u=-np.asarray(run.u))
-
-
 @pytest.mark.slow
 def test_a_force_that_was_logged_the_wrong_way_round_is_named_on_page_and_terminal() -> None:
-    found, content = told("mass_spring_damper", turned, durations=(12.0,) * 3)
+    _, content = told("mass_spring_damper", lambda run: replace(run, u=-run.u), durations=(12.0,) * 3)
     first, second = content["warnings"]
     assert first["kind"] == "reading"
     assert "the opposite sign of 'force'" in first["sentence"]
@@ -54,8 +40,7 @@ def test_a_force_that_was_logged_the_wrong_way_round_is_named_on_page_and_termin
     said = "\n".join(lines(content))
     assert "warning: With the opposite sign of 'force'" in said
     assert "signs, units and order of the inputs ('force')" in said
-    html = html_of(found, content)
-    assert "<b>Warning.</b> With the opposite sign of &#39;force&#39;" in html
+    assert "<b>Warning.</b> With the opposite sign of &#39;force&#39;" in page(content, {}, width=0.25)
 
 
 @pytest.mark.parametrize("system", ["mass_spring_damper", pytest.param("cartpole", marks=pytest.mark.slow)])

@@ -1,14 +1,16 @@
 """What swings and is not in the log, on a machine or between its command and it, has its name and its sizes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 import nsde_torch
 from nsde_torch.data.raw import RawRun
 from nsde_torch.inference import fit
 from nsde_torch.systems.options import system_options
+from tests.helpers.machines import Array, simulated
 
 DT = 0.02
 
@@ -17,18 +19,16 @@ def absorber(seed: int, *, hidden: float, hertz: float, ratio: float, seconds: f
     """Runs of a spring (4 1/s2, damping 0.4 1/s) that carries a second one, of the equations of both masses."""
     rng, out, w = np.random.default_rng(seed), list[RawRun](), 2.0 * np.pi * hertz
     t = DT * np.arange(round(seconds / DT))
+
+    def rates(x: Array, u: Array) -> list[float]:
+        held = w * w * (x[2] - x[0]) + 2.0 * ratio * w * (x[3] - x[1])
+        return [x[1], u[0] - 4.0 * x[0] - 0.4 * x[1] + hidden * held, x[3], -held]
+
     for r in range(3):
         waves, phase = rng.uniform(0.1, 2.0, 6), rng.uniform(0.0, 6.3, 6)
-        u = 0.5 * np.sin(2.0 * np.pi * waves * t[:, None] + phase).sum(1)
-
-        def rates(at: float, x: np.ndarray, u: np.ndarray = u) -> np.ndarray:
-            held = hidden * (w * w * (x[2] - x[0]) + 2.0 * ratio * w * (x[3] - x[1]))
-            own = u[min(int(at / DT + 1e-9), len(u) - 1)] - 4.0 * x[0] - 0.4 * x[1] + held
-            return np.array([x[1], own, x[3], -held / hidden if hidden else 0.0])
-
-        found = solve_ivp(rates, (0.0, t[-1]), np.zeros(4), t_eval=t, max_step=DT, rtol=1e-7, atol=1e-9).y
-        x = found[:2].T + rng.normal(size=(len(t), 2)) * [0.001, 0.005]
-        out.append(RawRun(f"run_{r}", t + r * (seconds + 5.0), x, u[:, None]))
+        u = 0.5 * np.sin(2.0 * np.pi * waves * t[:, None] + phase).sum(1, keepdims=True)
+        run = simulated(r, rates, np.zeros(4), u, DT, noise=(0.001, 0.005, 0.0, 0.0), rng=rng)
+        out.append(replace(run, x=run.x[:, :2]))
     return out
 
 
@@ -54,12 +54,8 @@ def behind_a_servo(seed: int, hertz: float, ratio: float) -> list[RawRun]:
     rates[1, :3], rates[3, 2:] = [-4.0, -0.5, 1.0], [-w * w, -2.0 * ratio * w, w * w]
     over = expm(DT * rates)[:4]
     for r in range(2):
-        size, waves, phase = (
-            rng.uniform(0.5, 2.0, 5),
-            np.exp(rng.uniform(-2.3, 1.4, 5)),
-            rng.uniform(0.0, 6.3, 5),
-        )
-        u = (size * np.sin(2.0 * np.pi * waves * t[:, None] + phase)).sum(1)
+        size, waves = rng.uniform(0.5, 2.0, 5), np.exp(rng.uniform(-2.3, 1.4, 5))
+        u = np.sin(2.0 * np.pi * waves * t[:, None] + rng.uniform(0.0, 6.3, 5)) @ size
         z, x = np.array([*rng.uniform(-0.3, 0.3, 2), 0.0, 0.0]), np.empty((len(t), 2))
         for k, command in enumerate(u):
             x[k] = z[:2]

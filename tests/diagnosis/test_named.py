@@ -5,8 +5,6 @@ from typing import Any, final
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
-from scipy.integrate import solve_ivp
 from torch import Tensor
 
 import nsde_torch
@@ -20,6 +18,7 @@ from nsde_torch.recording import Recording
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import make_system
 from tests.helpers.diagnosed import assert_interval, diagnosed, recorded
+from tests.helpers.machines import Array, simulated
 
 FRICTION = {"coulomb_friction": {"size": 0.3}}
 
@@ -132,25 +131,18 @@ def test_air_that_moves_is_drag_and_what_else_pushes_steadily() -> None:
     assert "turned by a quarter" in tie["experiment"]
 
 
-DT = 0.02
-
-
 def solved(damping: float, digits: int) -> list[RawRun]:
     """A spring with quadratic damping, solved to twelve digits and written with fewer."""
-    rng = np.random.default_rng(3)
-    out = []
-    for name in "abcd":
-        t, a, w = DT * np.arange(300), rng.uniform(0.5, 2.0, 3), rng.uniform(0.5, 6.0, 3)
-        u = sum(a[:, None] * np.sin(w[:, None] * t + rng.uniform(0.0, 6.0, (3, 1))))
-        x, y = np.empty((len(t), 2)), np.array([rng.uniform(-0.3, 0.3), 0.0])
-        for k, force in enumerate(u):
+    rng, out = np.random.default_rng(3), []
 
-            def rates(_: float, z: NDArray[np.float64], f: float = force) -> list[float]:
-                return [z[1], f - 4.0 * z[0] - 0.5 * z[1] - damping * z[1] * abs(z[1])]
+    def rates(x: Array, u: Array) -> list[float]:
+        return [x[1], u[0] - 4.0 * x[0] - 0.5 * x[1] - damping * x[1] * abs(x[1])]
 
-            x[k] = np.round(y, digits)
-            y = solve_ivp(rates, (0.0, DT), y, rtol=1e-9, atol=1e-11).y[:, -1]
-        out.append(RawRun(name, t, x, u[:, None]))
+    for number in range(4):
+        t, a, w = 0.02 * np.arange(300), rng.uniform(0.5, 2.0, 3), rng.uniform(0.5, 6.0, 3)
+        u = sum(a[:, None] * np.sin(w[:, None] * t + rng.uniform(0.0, 6.0, (3, 1))))[:, None]
+        run = simulated(number, rates, [rng.uniform(-0.3, 0.3), 0.0], u, 0.02, rng=rng, fine=40)
+        out.append(replace(run, x=np.round(run.x, digits)))
     return out
 
 

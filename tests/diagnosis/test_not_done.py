@@ -3,6 +3,7 @@
 import json
 import warnings
 from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -23,6 +24,8 @@ from nsde_torch.diagnosis.text import lines
 from nsde_torch.effects import Parameter, Port
 from nsde_torch.errors import DataError, NsdeError
 from nsde_torch.systems import Defaults, ResidualPort, System
+from tests.helpers.diagnosed import recorded
+from tests.helpers.machines import Array, simulated
 
 OPTIONAL = ("undone", "without_standstill", "guard_of", "cross_validated", "ceiling")
 
@@ -34,9 +37,8 @@ def _fails(*_: object, **__: object) -> None:
 @cache
 def rubbing() -> DataSet:
     """Runs of a spring with dry friction."""
-    dry = [{"coulomb_friction": {"size": 0.3}}]
-    made = nsde_torch.simulate("mass_spring_damper", effects=dry, durations=[3.0] * 3, dt=0.02, seed=1)
-    return nsde_torch.read(made, system="mass_spring_damper")
+    dry = {"coulomb_friction": {"size": 0.3}}
+    return recorded("mass_spring_damper", dry, durations=[3.0] * 3, dt=0.02)
 
 
 def diagnosed_without(monkeypatch: pytest.MonkeyPatch, *stages: str) -> Diagnosis:
@@ -124,7 +126,6 @@ def test_a_search_that_fails_numerically_is_an_error_with_a_remedy() -> None:
         needed("the search for effects", raising(np.linalg.LinAlgError("SVD did not converge")))
 
 
-ANSWER = "answer"
 ONE_ROW = "a run needs at least two"
 SHORT = "no stretch of 20 steps without a gap: the longest has "
 
@@ -150,16 +151,13 @@ class FreePendulum(System):
 
 def swinging(rows: int, noise: float) -> list[RawRun]:
     """Two runs of a pendulum that swings out, at 100 Hz."""
-    runs = []
-    for number, theta in enumerate((1.0, -0.7)):
-        rng, y, x = np.random.default_rng(number), np.array([theta, 0.0]), np.empty((rows, 2))
-        for k in range(rows):
-            x[k] = y
-            for _ in range(10):
-                y = y + 0.001 * np.array([y[1], -19.6 * np.sin(y[0]) - 0.3 * y[1]])
-        x += noise * rng.normal(size=x.shape) * (0.002, 0.01)
-        runs.append(RawRun(f"run_{number}", 0.01 * np.arange(rows), x, np.zeros((rows, 0))))
-    return runs
+    how = {"noise": (0.002 * noise, 0.01 * noise), "rng": np.random.default_rng(0)}
+
+    def rates(x: Array, u: Array) -> list[float]:
+        return [x[1], -19.6 * np.sin(x[0]) - 0.3 * x[1]]
+
+    none = np.zeros((rows, 0))
+    return [simulated(k, rates, [theta, 0.0], none, 0.01, **how) for k, theta in enumerate((1.0, -0.7))]
 
 
 @cache
@@ -168,86 +166,68 @@ def springs(noise: float) -> tuple[RawRun, ...]:
     return nsde_torch.simulate("mass_spring_damper", seed=1, **options).runs
 
 
-def cut(
-    change: Callable[[RawRun], None] = lambda run: None, rows: int = 400, noise: float = 1.0
-) -> list[RawRun]:
+Change = Callable[[RawRun], RawRun]
+
+
+def cut(change: Change = lambda run: run, rows: int = 400, noise: float = 1.0) -> list[RawRun]:
     """The first rows of runs of a spring, changed."""
-    runs = [RawRun(r.name, r.t[:rows].copy(), r.x[:rows].copy(), r.u[:rows].copy()) for r in springs(noise)]
-    for run in runs:
-        change(run)
-    return runs
+    return [change(RawRun(r.name, r.t[:rows], r.x[:rows], r.u[:rows])) for r in springs(noise)]
 
 
-def still(run: RawRun) -> None:
-    run.x[:], run.u[:] = (0.2, 0.0), 0.5
+def at_rate(hertz: float) -> Change:
+    return lambda run: replace(run, x=run.x * (1.0, 0.01 * hertz), t=np.arange(len(run.t)) / hertz)
 
 
-def constant_input(run: RawRun) -> None:
-    run.u[:] = 0.3
+def still(run: RawRun) -> RawRun:
+    return replace(run, x=0.0 * run.x + (0.2, 0.0), u=0.0 * run.u + 0.5)
 
 
-def pieces(run: RawRun) -> None:
-    run.t += 0.5 * (np.arange(len(run.t)) // 5)
+def pieces(run: RawRun) -> RawRun:
+    return replace(run, t=run.t + 0.5 * (np.arange(len(run.t)) // 5))
 
 
-def no_rates(run: RawRun) -> None:
-    run.x[:, 1] = np.nan
+def constant(run: RawRun) -> RawRun:
+    return replace(run, u=0.0 * run.u + 0.3)
 
 
-def at_rate(hertz: float) -> Callable[[RawRun], None]:
-    def change(run: RawRun) -> None:
-        run.x[:, 1] *= 0.01 * hertz
-        run.t[:] = np.arange(len(run.t)) / hertz
-
-    return change
+def no_rates(run: RawRun) -> RawRun:
+    return replace(run, x=run.x * (1.0, np.nan))
 
 
-def case(name: str, runs: Callable[[], list[RawRun]], expected: str = ANSWER, **more: Any) -> Any:
-    return pytest.param(runs, expected, id=name, **more)
+def case(name: str, runs: Callable[[], list[RawRun]], expected: str = "", *, slow: bool = False) -> Any:
+    return pytest.param(runs, expected, id=name, marks=[pytest.mark.slow] if slow else [])
 
 
-SPRING = (
-    case("one row", lambda: cut(rows=1), ONE_ROW),
-    case("two rows", lambda: cut(rows=2), SHORT),
-    case("nineteen rows", lambda: cut(rows=19), SHORT),
-    case("forty rows", lambda: cut(rows=40)),
-    case("pieces of five rows", lambda: cut(pieces, rows=100), SHORT),
-    case("nothing moves", lambda: cut(still), "nothing moves: q, q_dot never change"),
-    case("an input that never moves", lambda: cut(constant_input, rows=150)),
-    case("two kilohertz", lambda: cut(at_rate(2000.0), rows=60)),
-    case("two hertz", lambda: cut(at_rate(2.0), rows=60)),
-    case("two kilohertz, longer", lambda: cut(at_rate(2000.0), rows=150), marks=pytest.mark.slow),
-    case("no noise", lambda: cut(noise=0.0), marks=pytest.mark.slow),
-    case("positions alone", lambda: cut(no_rates), marks=pytest.mark.slow),
+@pytest.mark.parametrize(
+    ("runs", "expected"),
+    [
+        case("one row", lambda: cut(rows=1), ONE_ROW),
+        case("two rows", lambda: cut(rows=2), SHORT),
+        case("nineteen rows", lambda: cut(rows=19), SHORT),
+        case("forty rows", lambda: cut(rows=40)),
+        case("pieces of five rows", lambda: cut(pieces, rows=100), SHORT),
+        case("nothing moves", lambda: cut(still), "nothing moves: q, q_dot never change"),
+        case("an input that never moves", lambda: cut(constant, rows=150)),
+        case("two kilohertz", lambda: cut(at_rate(2000.0), rows=60)),
+        case("two hertz", lambda: cut(at_rate(2.0), rows=60)),
+        case("two kilohertz, longer", lambda: cut(at_rate(2000.0), rows=150), slow=True),
+        case("no noise", lambda: cut(noise=0.0), slow=True),
+        case("positions alone", lambda: cut(no_rates), slow=True),
+        case("no inputs, one row", lambda: swinging(1, 1.0), ONE_ROW),
+        case("no inputs, thirty rows", lambda: swinging(30, 1.0)),
+        case("no inputs, a second and a half", lambda: swinging(150, 1.0)),
+        case("no inputs, no noise", lambda: swinging(300, 0.0), slow=True),
+    ],
 )
-NO_INPUTS = (
-    case("one row", lambda: swinging(1, 1.0), ONE_ROW),
-    case("thirty rows", lambda: swinging(30, 1.0)),
-    case("a second and a half", lambda: swinging(150, 1.0)),
-    case("no noise", lambda: swinging(300, 0.0), marks=pytest.mark.slow),
-)
-
-
-def diagnosed(runs: list[RawRun], system: str | type[System]) -> str:
-    """`ANSWER`, or the package's own error; anything else, warnings too, is raised."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        try:
-            data = nsde_torch.read(runs, system=system)
-            found = nsde_torch.diagnose(data, system=system, candidates=["coulomb_friction"])
-            json.dumps(found.content(), allow_nan=False)
-            nsde_torch.train(data, system=system, model="sysid", test=[], say=lambda text: None)
-        except NsdeError as error:
-            return str(error)
-    assert found.report
-    return ANSWER
-
-
-@pytest.mark.parametrize(("runs", "expected"), SPRING)
 def test_every_cut_ends_in_an_answer_or_a_remedy(runs: Callable[[], list[RawRun]], expected: str) -> None:
-    assert expected in diagnosed(runs(), "mass_spring_damper")
-
-
-@pytest.mark.parametrize(("runs", "expected"), NO_INPUTS)
-def test_a_machine_without_inputs_is_diagnosed(runs: Callable[[], list[RawRun]], expected: str) -> None:
-    assert expected in diagnosed(runs(), FreePendulum)
+    """The package's own error, or an answer; anything else, warnings too, is raised."""
+    made = runs()
+    system: Any = "mass_spring_damper" if made[0].u.shape[1] else FreePendulum
+    told = pytest.raises(NsdeError, match=expected) if expected else nullcontext()
+    with warnings.catch_warnings(), told:
+        warnings.simplefilter("error")
+        data = nsde_torch.read(made, system=system)
+        found = nsde_torch.diagnose(data, system=system, candidates=["coulomb_friction"])
+        json.dumps(found.content(), allow_nan=False)
+        nsde_torch.train(data, system=system, model="sysid", test=[], say=lambda text: None)
+        assert found.report

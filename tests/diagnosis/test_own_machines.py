@@ -21,6 +21,7 @@ from nsde_torch.effects import Coordinate, Parameter, Port
 from nsde_torch.systems import Defaults, ResidualPort, System, make_system
 from tests.helpers.diagnosed import assert_interval
 from tests.helpers.electric_motors import CoilMotor, turns
+from tests.helpers.machines import held, simulated
 from tests.helpers.two_joints import TwoJoints
 
 PENDULUM = "pendulum:Pendulum"
@@ -48,7 +49,7 @@ class Car(System):
 
     def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
         pushed = self.value("engine") * u - self.value("rolling")
-        return pushed + forces.get(Port.FORCE, torch.zeros_like(x))
+        return pushed + forces.get(Port.FORCE, 0.0)
 
 
 @final
@@ -66,7 +67,7 @@ class Motor(System):
 
     def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
         free = self.value("gain") * u - self.value("damping") * x
-        return free + forces.get(Port.TORQUE, torch.zeros_like(x))
+        return free + forces.get(Port.TORQUE, 0.0)
 
 
 @final
@@ -110,44 +111,32 @@ def sailed(
     for seed in range(3):
         rng = np.random.default_rng(seed)
         u = np.repeat(rng.uniform(5.0, 40.0, (40, 2)), 15, axis=0)
-        left, right = (u * strength).T
-        right = np.concatenate((right[:1].repeat(late), right[: len(u) - late]))
-        pushed = np.stack((0.055 * (left + right), sideways * (left + right), 0.028 * (right - left)), 1)
-        x = np.zeros((len(u), 3))
-        for k in range(len(u) - 1):
-            y = x[k]
-            for _ in range(50):
-                y = y + 0.001 * (pushed[k] - 0.45 * y - np.array([slip * np.abs(y[2]) * y[0], 0.0, 0.0]))
-            x[k + 1] = y
-        x += 0.01 * rng.normal(size=x.shape)
-        runs.append(RawRun(f"run_{seed}", 0.05 * np.arange(len(u)), x, u))
+        acts = u * strength
+        acts[late:, 1] = acts[: len(u) - late, 1].copy()
+        acts[:late, 1] = acts[0, 1]
+
+        def rates(x: Array, u: Array) -> Array:
+            pushed = np.array([0.055 * u.sum(), sideways * u.sum(), 0.028 * (u[1] - u[0])])
+            return pushed - 0.45 * x - np.array([slip * abs(x[2]) * x[0], 0.0, 0.0])
+
+        run = simulated(seed, rates, [0.0] * 3, acts, 0.05, noise=0.01, rng=rng)
+        runs.append(replace(run, u=u))
     return runs
 
 
 def turned(torque: Torque, *, seconds: float, dt: float, size: float) -> list[RawRun]:
     """Three runs in which torques of 0.3 to 1.2 s turn the pendulum; `torque` of angle and speed acts on it, too."""
+
+    def rates(x: Array, u: Array) -> list[float]:
+        return [x[1], 12.0 * u[0] - 9.0 * np.sin(x[0]) - 0.2 * x[1] + torque(x[0], x[1])]
+
     runs = []
     for seed in range(3):
-        rng = np.random.default_rng(seed)
-        rows, y, u, left = round(seconds / dt), np.array([rng.uniform(-1, 1), 0.0]), 0.0, 0.0
-        x, inputs = np.empty((rows, 2)), np.empty((rows, 1))
-
-        def rate(y: Array, u: float) -> Array:
-            return np.array([y[1], 12.0 * u - 9.0 * np.sin(y[0]) - 0.2 * y[1] + torque(y[0], y[1])])
-
-        for k in range(rows):
-            if left <= 0.0:
-                u, left = rng.uniform(-size, size), rng.uniform(0.3, 1.2)
-            left -= dt
-            x[k], inputs[k] = y, u
-            h = dt / 10
-            for _ in range(10):
-                a = rate(y, u)
-                b = rate(y + 0.5 * h * a, u)
-                c = rate(y + 0.5 * h * b, u)
-                y = y + h / 6 * (a + 2 * b + 2 * c + rate(y + h * c, u))
-        x += rng.normal(size=x.shape) * (0.001, 0.005)
-        runs.append(RawRun(f"run_{seed}", dt * np.arange(rows), x, inputs))
+        rng, rows = np.random.default_rng(seed), round(seconds / dt)
+        lasts = rng.uniform(0.3, 1.2, round(4 * seconds)) / dt
+        u = np.repeat(rng.uniform(-size, size, len(lasts)), lasts.astype(int))[:rows, None]
+        start = [rng.uniform(-1.0, 1.0), 0.0]
+        runs.append(simulated(seed, rates, start, u, dt, noise=(0.001, 0.005), rng=rng))
     return runs
 
 
@@ -268,16 +257,20 @@ def test_the_zero_of_a_position_is_a_candidate_where_something_depends_on_it() -
 def test_what_a_motor_that_turns_one_way_cannot_tell_is_a_tie() -> None:
     """Dry friction, a steady torque and a dead band are one constant, beside what differs within a run too."""
     runs = []
-    for k, (seconds, damping) in enumerate(((40.0, (25.0, 25.2)), (3.0, (25.1, 25.1)))):
+    for k, (rows, dampings) in enumerate(((1995, (25.0, 25.2)), (150, (25.1, 25.1)))):
         rng = np.random.default_rng(k)
-        u = np.repeat(rng.uniform(1.5, 3.0, round(seconds / 0.3)), 15)
-        omega, x = (70.0 * u[0] - 16.5) / 25.0, np.empty(len(u))
-        for j, volt in enumerate(u):
-            x[j] = omega
-            for _ in range(20):
-                omega += 0.001 * (70.0 * volt - damping[2 * j > len(u)] * omega - 16.5)
-        x += 0.03 * rng.normal(size=len(x))
-        runs.append(RawRun(f"run_{k}", 0.02 * np.arange(len(u)), x[:, None], u[:, None]))
+        volts = held(rng, 1.5, 3.0, rows, each=15)
+        damping = np.where(2 * np.arange(rows) > rows, *dampings[::-1])
+        run = simulated(
+            k,
+            lambda omega, u: 70.0 * u[:1] - u[1] * omega - 16.5,
+            (70.0 * volts[0] - 16.5) / 25.0,
+            np.column_stack((volts, damping)),
+            0.02,
+            noise=0.03,
+            rng=rng,
+        )
+        runs.append(replace(run, u=volts))
     content = nsde_torch.diagnose(runs, system=Motor, say=False).content()
     differs = "run_difference[damping]"
     (constant,) = {*content["added"]} - {differs}
@@ -305,7 +298,7 @@ class Lift(System):
 
     def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
         falls = 9.81 - self.value("pull") * (u / x[:, :1]) ** 2
-        return torch.cat((x[:, 1:], falls + forces[Port.FORCE] if Port.FORCE in forces else falls), 1)
+        return torch.cat((x[:, 1:], falls + forces.get(Port.FORCE, 0.0)), 1)
 
 
 @pytest.mark.slow

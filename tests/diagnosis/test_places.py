@@ -5,7 +5,6 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 import torch
-from scipy.integrate import solve_ivp
 from torch import Tensor
 
 import nsde_torch
@@ -13,6 +12,7 @@ from nsde_torch.data.raw import RawRun
 from nsde_torch.effects import Coordinate, Parameter, Port
 from nsde_torch.errors import ConfigError
 from nsde_torch.systems import Defaults, ResidualPort, System
+from tests.helpers.machines import Array, held, simulated
 
 DT, DRAG, TURN = 0.1, (0.3, 0.8), 0.4
 CURRENT = (0.12, -0.2)
@@ -41,29 +41,22 @@ class Boat(System):
 
     def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
         psi, speed, rate = x[:, 2:3], x[:, 3:4], x[:, 4:5]
-        along = u[:, :1] - self.value("surge_drag") * speed
-        turning = self.value("turn") * u[:, 1:] - self.value("yaw_drag") * rate
-        along = along + forces[Port.FORCE] if Port.FORCE in forces else along
-        turning = turning + forces[Port.TORQUE] if Port.TORQUE in forces else turning
+        along = u[:, :1] - self.value("surge_drag") * speed + forces.get(Port.FORCE, 0.0)
+        turning = self.value("turn") * u[:, 1:] - self.value("yaw_drag") * rate + forces.get(Port.TORQUE, 0.0)
         return torch.cat((speed * torch.cos(psi), speed * torch.sin(psi), rate, along, turning), 1)
 
 
 def voyages(current: tuple[float, float]) -> list[RawRun]:
     """Runs of a boat in water that flows."""
-    rng, t = np.random.default_rng(11), DT * np.arange(600)
-    out = []
-    for run in range(3):
-        u = np.repeat(np.stack((rng.uniform(0.1, 0.6, 20), rng.uniform(-1.0, 1.0, 20)), 1), 30, 0)
+    rng, start = np.random.default_rng(11), [0.0, 0.0, 0.3, 0.5, 0.0]
 
-        def rates(at: float, x: np.ndarray, u: np.ndarray = u) -> list[float]:
-            thrust, rudder = u[min(int(at / DT + 1e-9), len(u) - 1)]
-            _, _, psi, speed, rate = x
-            moved = [speed * np.cos(psi) + current[0], speed * np.sin(psi) + current[1]]
-            return [*moved, rate, thrust - DRAG[0] * speed, TURN * rudder - DRAG[1] * rate]
+    def rates(x: Array, u: Array) -> list[float]:
+        _, _, psi, speed, rate = x
+        moved = [speed * np.cos(psi) + current[0], speed * np.sin(psi) + current[1]]
+        return [*moved, rate, u[0] - DRAG[0] * speed, TURN * u[1] - DRAG[1] * rate]
 
-        x = solve_ivp(rates, (0.0, t[-1]), [0.0, 0.0, 0.3, 0.5, 0.0], t_eval=t, max_step=DT, rtol=1e-8).y.T
-        out.append(RawRun(f"run_{run}", t + 100.0 * run, x + 0.02 * rng.normal(size=x.shape), u))
-    return out
+    inputs = (np.hstack([held(rng, a, b, 600, each=30) for a, b in ((0.1, 0.6), (-1, 1))]) for _ in range(3))
+    return [simulated(k, rates, start, u, DT, noise=0.02, rng=rng, fine=4) for k, u in enumerate(inputs)]
 
 
 @pytest.mark.parametrize("current", [(0.0, 0.0), CURRENT])

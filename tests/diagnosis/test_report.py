@@ -35,11 +35,6 @@ class _Balanced(HTMLParser):
         assert self.open.pop() == tag
 
 
-@pytest.fixture(scope="module")
-def found() -> Diagnosed:
-    return pushed_spring()
-
-
 def _with_a_blind_spot(case: Diagnosed) -> Diagnosed:
     """The same diagnosis of data that could not show one effect, as `diagnosis.json` has it."""
     unseen = {
@@ -47,11 +42,6 @@ def _with_a_blind_spot(case: Diagnosed) -> Diagnosed:
         **{"unit": "s", "experiment": "inputs that change within some milliseconds", "declared": False},
     }
     return case[0], {**case[1], "not_shown": [unseen]}
-
-
-@pytest.fixture(scope="module")
-def nothing() -> Diagnosed:
-    return sound_spring()
 
 
 def written(folder: Path, case: Diagnosed) -> tuple[str, int]:
@@ -66,8 +56,8 @@ def written(folder: Path, case: Diagnosed) -> tuple[str, int]:
 
 
 @pytest.mark.slow
-def test_the_page_loads_nothing_and_fits_a_phone(tmp_path: Path, found: Diagnosed) -> None:
-    page, images = written(tmp_path, found)
+def test_the_page_loads_nothing_and_fits_a_phone(tmp_path: Path) -> None:
+    page, images = written(tmp_path, pushed_spring())
     # the script can ask for maps; that it asks for nothing: test_time_series
     own = page.replace(plotly_script(), "")
     assert not re.search(r"(src|href)=\"(?!data:image/png;base64,)", own)
@@ -81,64 +71,40 @@ def test_the_page_loads_nothing_and_fits_a_phone(tmp_path: Path, found: Diagnose
     assert images == len(names)
 
 
-def test_the_page_names_the_effect_its_values_its_tie_and_the_experiment(
-    tmp_path: Path, found: Diagnosed
-) -> None:
-    page, _ = written(tmp_path, _with_a_blind_spot(found))
-    _, content = found
+def test_the_page_names_the_effect_its_values_its_tie_and_the_experiment(tmp_path: Path) -> None:
+    page, _ = written(tmp_path, _with_a_blind_spot(pushed_spring()))
+    _, content = pushed_spring()
     text = re.sub(r"<[^>]+>", " ", re.sub(r"<style>.*?</style>", "", page))
-    told = [content["findings"][0]["sentence"], content["ties"][0]["experiment"]]
-    for word in (
-        *(
-            "Found what is missing",
-            "constant_force",
-            *told,
-            "Indistinguishable.",
-            "sensor_bias",
-            "left before",
-        ),
-        *("beside everything else: log-likelihood", "All effects that were tried"),
-        *("What these data cannot show", "0.031 s"),
-    ):
-        assert word in text
+    words = "Found what is missing", "constant_force", "Indistinguishable.", "sensor_bias", "left before"
+    words += "beside everything else: log-likelihood", "All effects that were tried"
+    words += "What these data cannot show", "0.031 s", content["findings"][0]["sentence"]
+    assert [word for word in (*words, content["ties"][0]["experiment"]) if word not in text] == []
     # what runs left out say of steps comes before predictions, which are called what they are
     first, second = text.index("Log-likelihood of one-step predictions"), text.index("Open-loop, inputs")
     assert first < text.index("Before and after, on runs left out") < second
 
 
 @pytest.mark.slow
-def test_a_page_of_nothing_found_shows_the_residual_and_the_floor(tmp_path: Path, nothing: Diagnosed) -> None:
-    page, images = written(tmp_path, nothing)
+def test_a_page_of_nothing_found_shows_the_residual_and_the_floor(tmp_path: Path) -> None:
+    page, images = written(tmp_path, sound_spring())
     assert images == 2
     assert "Nothing is missing" in page
     assert "→" not in page
 
 
-def test_the_terminal_says_the_same(found: Diagnosed) -> None:
-    said = "\n".join(lines(_with_a_blind_spot(found)[1]))
+def test_the_terminal_says_the_same() -> None:
+    said = "\n".join(lines(_with_a_blind_spot(pushed_spring())[1]))
     assert said.startswith("verdict: effect_found")
-    said_of = (
-        "constant_force.acceleration",
-        "90 % interval",
-        "indistinguishable from sensor_bias",
-        "cannot show",
-    )
-    for word in (*said_of, "input_delay: delay below 0.031 s"):
+    words = "constant_force.acceleration", "90 % interval", "indistinguishable from sensor_bias"
+    for word in (*words, "cannot show", "input_delay: delay below 0.031 s"):
         assert word in said
     # residual and likelihood come before predictions, which are called what they are
     first, second = said.index("log-likelihood [nat]"), said.index("open-loop, inputs replayed from the log")
     assert first < second < said.index("position [m]")
 
 
-@pytest.fixture
-def content() -> dict[str, Any]:
-    path = Path(__file__).parents[1] / "golden" / "diagnosis.json"
-    return dict(json.loads(path.read_text(encoding="utf-8")))
-
-
-def test_the_short_text_fits_a_screen_and_has_every_finding_with_its_interval(
-    content: dict[str, Any],
-) -> None:
+def test_the_short_text_fits_a_screen_and_has_every_finding_with_its_interval(root: Path) -> None:
+    content = json.loads((root / "tests" / "golden" / "diagnosis.json").read_text(encoding="utf-8"))
     text = short_lines(content)
     assert len(text) <= 20 < len("\n".join(lines(content)).splitlines())
     assert text[0] == f"verdict: {content['verdict']}"

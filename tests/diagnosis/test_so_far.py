@@ -2,7 +2,6 @@
 
 import io
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -21,38 +20,29 @@ from nsde_torch.errors import CheckpointError, ConfigError, DataError
 from nsde_torch.progress import Stages
 from nsde_torch.time_limit import TimeLimit, check_time
 from nsde_torch.whole_files import write_whole
+from tests.helpers.diagnosed import recorded
 
 SPRING, FRICTION = "mass_spring_damper", "coulomb_friction"
 
 
-@pytest.fixture(scope="module")
+@cache
 def made() -> DataSet:
-    data = nsde_torch.simulate(
-        SPRING, effects=[{FRICTION: {"size": 0.3}}], durations=[3.0] * 3, dt=0.02, seed=1
-    )
-    return nsde_torch.read(data, system=SPRING)
+    return recorded(SPRING, {FRICTION: {"size": 0.3}}, durations=[3.0] * 3, dt=0.02)
 
 
-def _diagnosed(made: DataSet, **options: Any) -> Diagnosis:
-    return nsde_torch.diagnose(made, system=SPRING, candidates=[FRICTION], **options)
+def _diagnosed(**options: Any) -> Diagnosis:
+    return nsde_torch.diagnose(made(), system=SPRING, candidates=[FRICTION], **options)
 
 
-Stopped = Callable[[str], Diagnosis]
-
-
-@pytest.fixture(scope="module")
-def stopped(made: DataSet) -> Stopped:
+@cache
+def stopped(at: str) -> Diagnosis:
     """A diagnosis that is stopped as this stage begins."""
 
-    @cache
-    def diagnosis(at: str) -> Diagnosis:
-        def say(stage: str, done: int, total: int) -> None:
-            if stage.startswith(at):
-                raise KeyboardInterrupt
+    def say(stage: str, done: int, total: int) -> None:
+        if stage.startswith(at):
+            raise KeyboardInterrupt
 
-        return _diagnosed(made, say=say)
-
-    return diagnosis
+    return _diagnosed(say=say)
 
 
 @pytest.mark.parametrize(
@@ -64,7 +54,7 @@ def stopped(made: DataSet) -> Stopped:
     ],
 )
 def test_what_is_known_is_kept_where_it_is_stopped(
-    stopped: Stopped, tmp_path: Path, at: str, verdict: str, added: list[str], first: str
+    tmp_path: Path, at: str, verdict: str, added: list[str], first: str
 ) -> None:
     found = stopped(at)
     found.save(tmp_path)
@@ -87,14 +77,12 @@ def test_what_is_known_is_kept_where_it_is_stopped(
         found.finished()
 
 
-def test_before_anything_is_known_it_is_an_interrupt_as_ever(stopped: Stopped) -> None:
+def test_before_anything_is_known_it_is_an_interrupt_as_ever() -> None:
     with pytest.raises(KeyboardInterrupt):
         stopped("fitting the declared physics")
 
 
-def test_a_resumed_diagnosis_goes_on_from_what_was_selected(
-    made: DataSet, stopped: Stopped, tmp_path: Path
-) -> None:
+def test_a_resumed_diagnosis_goes_on_from_what_was_selected(tmp_path: Path) -> None:
     stopped("testing what is left").save(tmp_path)
     told: list[tuple[str, list[str]]] = []
     rounds: list[str] = []
@@ -105,7 +93,7 @@ def test_a_resumed_diagnosis_goes_on_from_what_was_selected(
     def so_far(known: Diagnosis) -> None:
         told.append((known.verdict, known.added))
 
-    found = _diagnosed(made, say=say, resume=tmp_path, so_far=so_far)
+    found = _diagnosed(say=say, resume=tmp_path, so_far=so_far)
     assert told[0] == ("undecided", [FRICTION])  # before any round: an interrupt loses nothing
     assert all(added == [FRICTION] for _, added in told)
     assert not [stage for stage in rounds if "1 effect" in stage]
@@ -114,23 +102,21 @@ def test_a_resumed_diagnosis_goes_on_from_what_was_selected(
 
 
 @pytest.mark.slow
-def test_only_the_same_data_and_model_are_gone_on_with(
-    made: DataSet, stopped: Stopped, tmp_path: Path
-) -> None:
+def test_only_the_same_data_and_model_are_gone_on_with(tmp_path: Path) -> None:
     known = stopped("round 1: trying 1 effect")
     known.save(tmp_path)
     other = nsde_torch.simulate(SPRING, durations=[3.0] * 3, dt=0.02, seed=2)
     with pytest.raises(DataError, match="looked at other data: fingerprint was "):
         nsde_torch.diagnose(other, system=SPRING, resume=tmp_path)
     with pytest.raises(DataError, match=r"runs was \['run_0', .* and is \['run_0', 'run_1'\] now"):
-        nsde_torch.diagnose(made, system=SPRING, resume=tmp_path, test=[2])
+        nsde_torch.diagnose(made(), system=SPRING, resume=tmp_path, test=[2])
     with pytest.raises(ConfigError, match=r"its effects was \[\], and is \['quadratic_damping'\] now"):
-        nsde_torch.diagnose(made, system=SPRING, effects="quadratic_damping", resume=tmp_path)
+        nsde_torch.diagnose(made(), system=SPRING, effects="quadratic_damping", resume=tmp_path)
     with pytest.raises(CheckpointError, match="no diagnosis to go on with"):
-        nsde_torch.diagnose(made, system=SPRING, resume=tmp_path / "elsewhere")
+        nsde_torch.diagnose(made(), system=SPRING, resume=tmp_path / "elsewhere")
     replace(known, so_far=None).save(tmp_path)
     with pytest.raises(CheckpointError, match="came to its end"):
-        nsde_torch.diagnose(made, system=SPRING, resume=tmp_path)
+        nsde_torch.diagnose(made(), system=SPRING, resume=tmp_path)
 
 
 def test_a_line_says_what_was_found_and_roughly_how_long_is_left() -> None:

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from scipy.integrate import solve_ivp
 from torch import Tensor
 
 import nsde_torch
@@ -18,6 +17,7 @@ from nsde_torch.effects import Parameter, Port
 from nsde_torch.errors import ConfigError
 from nsde_torch.sysid.feedback_test import Answer, FeedbackTest
 from nsde_torch.systems import Defaults, ResidualPort, System
+from tests.helpers.machines import Array, held, simulated
 
 DT, LOSS, GAIN = 1.0, 0.02, 0.5
 
@@ -36,27 +36,23 @@ class Room(System):
 
     def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
         heat = self.value("gain") * u - self.value("loss") * x
-        return heat + forces[Port("heat")] if Port("heat") in forces else heat
+        return heat + forces.get(Port("heat"), 0.0)
 
 
 def warmed(
     *, exchange: float = 0.0, time: float = 120.0, wall: float = 5.0, leak: float = 0.0
 ) -> list[RawRun]:
     """Runs of a room whose wall takes heat up and gives it back, and that loses heat with the root of it."""
-    rng, t = np.random.default_rng(4), DT * np.arange(900)
-    out = []
-    for run in range(3):
-        heater = np.repeat(rng.uniform(0.0, 1.0, 30), 30)
 
-        def rates(at: float, y: np.ndarray, heater: np.ndarray = heater) -> list[float]:
-            room, wall = y
-            heat = GAIN * heater[min(int(at / DT + 1e-9), len(heater) - 1)] - LOSS * room
-            heat -= leak * max(room, 0.0) ** 0.5
-            return [heat + exchange * (wall - room), (room - wall) / time]
+    def rates(x: Array, u: Array) -> list[float]:
+        heat = GAIN * u[0] - LOSS * x[0] - leak * max(x[0], 0.0) ** 0.5
+        return [heat + exchange * (x[1] - x[0]), (x[0] - x[1]) / time]
 
-        found = solve_ivp(rates, (0.0, t[-1]), [5.0, wall], t_eval=t, max_step=DT, rtol=1e-8).y
-        x = found[:1].T + 0.02 * rng.normal(size=(len(t), 1))
-        out.append(RawRun(f"run_{run}", t + 2000.0 * run, x, heater[:, None]))
+    rng, out = np.random.default_rng(4), []
+    for number in range(3):
+        heater = held(rng, 0.0, 1.0, 900, each=30)
+        run = simulated(number, rates, [5.0, wall], heater, DT, noise=(0.02, 0.0), rng=rng, fine=2)
+        out.append(replace(run, x=run.x[:, :1]))
     return out
 
 

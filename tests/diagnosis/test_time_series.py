@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from nsde_torch.diagnosis import Diagnosis
 from nsde_torch.diagnosis.report import page
 from nsde_torch.diagnosis.time_series import thinned, time_series
 from tests.helpers.browser import chromium
@@ -28,11 +27,6 @@ ASKED = "return performance.getEntriesByType('resource').map((e) => e.name)"
 RUN = "const r = document.getElementById('run'); r.value = 2; r.dispatchEvent(new Event('change'))"
 
 
-@pytest.fixture(scope="module")
-def found() -> Diagnosis:
-    return pushed_spring()[0]
-
-
 def values(encoded: list[Any]) -> np.ndarray[Any, Any]:
     low, size, packed = encoded
     whole = np.frombuffer(base64.b64decode(packed), "<i2").astype(float)
@@ -40,7 +34,8 @@ def values(encoded: list[Any]) -> np.ndarray[Any, Any]:
 
 
 @pytest.mark.slow
-def test_states_inputs_and_residuals_of_every_run_are_there(found: Diagnosis) -> None:
+def test_states_inputs_and_residuals_of_every_run_are_there() -> None:
+    found = pushed_spring()[0]
     content = json.loads(time_series(found))
     assert [run["name"] for run in content["runs"]] == list(found.runs)
     assert [c["names"] for c in content["charts"]] == [
@@ -60,7 +55,8 @@ def test_states_inputs_and_residuals_of_every_run_are_there(found: Diagnosis) ->
         assert after.mean() == pytest.approx(0.0, abs=0.05)
 
 
-def test_predictions_have_a_band_that_holds_nine_in_ten_of_what_was_measured(found: Diagnosis) -> None:
+def test_predictions_have_a_band_that_holds_nine_in_ten_of_what_was_measured() -> None:
+    found = pushed_spring()[0]
     made = found.errors.predictions
     assert made.horizon == 1.0
     content = json.loads(time_series(found))
@@ -95,7 +91,8 @@ def test_of_a_long_log_no_spike_is_lost() -> None:
 
 
 @pytest.mark.slow
-def test_the_page_draws_them_in_a_browser(found: Diagnosis, tmp_path: Path) -> None:
+def test_the_page_draws_them_in_a_browser(tmp_path: Path) -> None:
+    found = pushed_spring()[0]
     series = time_series(found).replace('"path":[]', '"path":["q","q_dot","force"]')  # as of a flight
     (tmp_path / "report.html").write_text(
         page(found.content(), {}, width=0.25, series=series), encoding="utf-8"
@@ -118,12 +115,8 @@ def test_the_page_draws_them_in_a_browser(found: Diagnosis, tmp_path: Path) -> N
         ActionChains(driver).move_to_element(chart).perform()
         time, *values = until(TEXTS, bool, "#charts .hoverlayer text")
         assert float(time.removesuffix(" s")) == pytest.approx(4.0, abs=0.1)  # the middle of 8 s
-        left_over, predictions = (
-            ["q_dot before", "q_dot after"],
-            ["q_dot measured", "q_dot before", "q_dot after"],
-        )
-        names = ["q", "q_dot", "force", *left_over, *predictions]
-        assert [text.partition(" : ")[0] for text in values] == names  # of all charts
+        names = "q, q_dot, force, q_dot before, q_dot after, q_dot measured, q_dot before, q_dot after"
+        assert ", ".join(text.partition(" : ")[0] for text in values) == names  # of all charts
         whole = driver.execute_script(LINES)
         assert len(whole) == 5 + 8 * 4  # eight predictions of 1 s: three lines and a band
         across = ActionChains(driver).move_to_element(chart).click_and_hold()

@@ -15,7 +15,7 @@ from torch import Tensor
 import nsde_torch
 from nsde_torch.cli.commands.completion import query
 from nsde_torch.cli.main import main
-from nsde_torch.data import DataSet, SystemInfo
+from nsde_torch.data import DataSet
 from nsde_torch.effects import Effect, Port
 from nsde_torch.errors import ConfigError
 from nsde_torch.models import Model
@@ -169,15 +169,10 @@ def test_a_system_has_ports_of_its_own() -> None:
     class Tailed(System):
         name, state_names, state_units = "tailed", rail.state_names, rail.state_units
         input_names, input_units, defaults = rail.input_names, rail.input_units, rail.defaults
-        error_names, error_groups = rail.error_names, rail.error_groups
-        feature_names, feature_units = rail.state_names, rail.state_units
         ports, residual_ports = {tail: 1}, {}
 
         def dynamics(self, t: Any, x: Tensor, u: Tensor, forces: Any) -> Tensor:
             return torch.cat((x[:, 1:], u - forces.get(tail, 0.0 * u)), 1)
-
-        def features(self, x: Tensor) -> Tensor:
-            return x
 
     class Drag(Effect):
         name, port, formula, source = "tail_drag", tail, "v^2", "a test"
@@ -304,8 +299,3 @@ def test_a_page_shows_every_file(file: Path, root: Path) -> None:
     pages = sorted((root / "docs" / "content" / "how-to" / "extend").glob("*.md"))
     shown = [page for page in pages if f'--8<-- "examples/extend/{file.name}"' in page.read_text()]
     assert len(shown) == 1
-
-
-def test_what_readers_ask_of_a_system_is_what_a_system_has() -> None:
-    info: SystemInfo = make_system(RAIL)
-    assert info.optional_inputs == ()

@@ -73,22 +73,19 @@ def _part(name: str) -> str | None:
     return pieces[1] if pieces[0] == "nsde_torch" and len(pieces) > 1 else None
 
 
-def test_every_part_of_the_package_has_its_place_in_the_order(root: Path) -> None:
-    parts = {path.relative_to(root / "nsde_torch").parts[0].removesuffix(".py") for path in _modules(root)}
-    assert parts - {"__init__"} <= set(MAY_IMPORT)
-
-
-def test_imports_inside_the_package_point_one_way(root: Path) -> None:
+def test_imports_inside_the_package_point_one_way_and_never_to_hydra_commands_or_tests(root: Path) -> None:
     wrong = []
     for path in _modules(root):
         part = path.relative_to(root / "nsde_torch").parts[0].removesuffix(".py")
-        if part == "__init__":
-            continue  # the public face gathers names from everywhere
+        face = part == "__init__"  # which gathers names from everywhere
         for name in _imports(path, _package(root, path)):
             other = _part(name)
-            if other in MAY_IMPORT and other != part and other not in MAY_IMPORT[part]:
+            astray = other in MAY_IMPORT and not face and other not in {part, *MAY_IMPORT[part]}
+            if astray or name.split(".")[0] in FORBIDDEN or other in FORBIDDEN:
                 wrong.append(f"{path.relative_to(root)} imports {name}")
     assert not wrong
+    for path in (root / "cli").rglob("*.py"):
+        assert "nsde_benchmarks" not in path.read_text(encoding="utf-8"), path
 
 
 def test_inside_px4_the_link_knows_no_flight_and_neither_knows_the_simulator(root: Path) -> None:
@@ -114,21 +111,6 @@ def test_the_order_has_no_cycle_but_systems_and_effects() -> None:
         if part in MAY_IMPORT[other]
     }
     assert cycles == {frozenset(("systems", "effects"))}
-
-
-def test_nothing_in_the_package_imports_hydra_the_commands_or_the_tests(root: Path) -> None:
-    wrong = []
-    for path in _modules(root):
-        for name in _imports(path, _package(root, path)):
-            top = name.split(".")[0]
-            if top in FORBIDDEN or _part(name) in FORBIDDEN:
-                wrong.append(f"{path.relative_to(root)} imports {name}")
-    assert not wrong
-
-
-def test_the_library_does_not_know_the_benchmarks(root: Path) -> None:
-    files = [*_modules(root), *sorted((root / "cli").rglob("*.py"))]
-    assert not [str(path) for path in files if "nsde_benchmarks" in path.read_text(encoding="utf-8")]
 
 
 def test_third_party_imports_are_declared_dependencies(root: Path) -> None:

@@ -69,14 +69,7 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str
     """The environment in which Python sees the installed wheel and not the checkout."""
     target = tmp_path_factory.mktemp("site")
     _pip("install", "--target", str(target), str(wheel))
-    return {**os.environ, "PYTHONPATH": str(target), "NSDE_SITE": str(target)}
-
-
-def _nsde(env: dict[str, str], cwd: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    script = Path(env["NSDE_SITE"]) / "bin" / "nsde"
-    return subprocess.run(
-        [sys.executable, str(script), *words], capture_output=True, text=True, cwd=cwd, env=env, check=False
-    )
+    return {**os.environ, "PYTHONPATH": str(target)}
 
 
 def test_wheel_holds_code_commands_and_every_config_file(wheel: Path, root: Path) -> None:
@@ -95,14 +88,6 @@ def test_wheel_holds_code_commands_and_every_config_file(wheel: Path, root: Path
     assert not [name for name in names if name.startswith(("benchmarks/", "cli/", "conf/", "tests/"))]
 
 
-def test_installed_wheel_is_the_one_that_runs(installed: dict[str, str], tmp_path: Path) -> None:
-    code = "import nsde_torch.cli.main as m, nsde_torch.errors as e; print(m.__file__); print(e.__file__)"
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, env=installed, check=True
-    )
-    assert all(line.startswith(installed["NSDE_SITE"]) for line in done.stdout.split())
-
-
 @pytest.mark.parametrize(
     ("words", "status", "told"),
     [
@@ -113,16 +98,14 @@ def test_installed_wheel_is_the_one_that_runs(installed: dict[str, str], tmp_pat
         ("figures figures=[fig99]", 2, ["`figures` must be `all` or of fig5"]),
         ("train --help", 0, ["hexacopter*"]),
         ("train --cfg job system=cartpole solver=heun", 0, ["name: cartpole", "name: heun"]),
+        ("completion query figures settings=", 0, ["settings=fast", "settings=full"]),
     ],
 )  # fmt: skip
 def test_installed_wheel_runs_its_commands_and_those_of_the_plug_ins(
     installed: dict[str, str], tmp_path: Path, words: str, status: int, told: list[str]
 ) -> None:
-    done = _nsde(installed, tmp_path, *words.split())
+    script = Path(installed["PYTHONPATH"]) / "bin" / "nsde"
+    how = {"capture_output": True, "text": True, "cwd": tmp_path, "env": installed, "check": False}
+    done = subprocess.run([sys.executable, str(script), *words.split()], **how)
     assert done.returncode == status, done.stderr
     assert [text for text in told if text not in (done.stderr if status else done.stdout)] == []
-
-
-def test_installed_wheel_completes_words(installed: dict[str, str], tmp_path: Path) -> None:
-    done = _nsde(installed, tmp_path, "completion", "query", "figures", "settings=")
-    assert done.stdout.split() == ["settings=fast", "settings=full"]

@@ -73,9 +73,3 @@ def test_the_command_of_the_readme_trains_it_and_the_model_loads(
         torch.tensor([[0.5, 0.0]]), torch.zeros(1, 25, 1), dt=0.02, particles=8, generator=torch.Generator()
     )
     assert bool(torch.isfinite(paths).all())
-
-
-def test_the_readme_shows_the_commands_that_are_tested(root: Path) -> None:
-    text = (root / "examples" / "pendulum" / "README.md").read_text(encoding="utf-8")
-    assert "nsde train --config-dir examples/pendulum system=pendulum data=csv data.path=" in text
-    assert "python examples/pendulum/make_data.py" in text

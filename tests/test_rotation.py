@@ -38,13 +38,7 @@ def test_rotating_to_the_world_and_back_is_scipys_apply() -> None:
     q = wxyz(made)
     np.testing.assert_allclose(rotate(q, torch.from_numpy(v)), made.apply(v), atol=1e-13)
     np.testing.assert_allclose(rotate_back(q, torch.from_numpy(v)), made.inv().apply(v), atol=1e-13)
-    np.testing.assert_allclose(rotate_back(q, rotate(q, torch.from_numpy(v))), v, atol=1e-13)
-
-
-def test_gravity_direction_is_worlds_up_seen_from_the_body() -> None:
-    made = attitudes()
-    expected = made.inv().apply([0.0, 0.0, 1.0])
-    np.testing.assert_allclose(gravity_direction(wxyz(made)), expected, atol=1e-13)
+    np.testing.assert_allclose(gravity_direction(q), made.inv().apply([0.0, 0.0, 1.0]), atol=1e-13)
 
 
 def test_quaternion_rate_is_the_derivative_of_a_turning_body() -> None:
@@ -60,27 +54,19 @@ def test_quaternion_rate_is_the_derivative_of_a_turning_body() -> None:
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-7, 1e-6, 1e-5, 1e-3, 0.5, 3.0, np.pi - 1e-6, np.pi])
-def test_rotation_between_returns_the_rotation_vector_at_every_angle(angle: float) -> None:
+def test_turning_by_a_rotation_vector_and_back_is_scipys_at_every_angle(angle: float) -> None:
     axis = vectors(32)
     axis /= np.linalg.norm(axis, axis=1, keepdims=True)
     start = attitudes(32)
     end = start * Rotation.from_rotvec(angle * axis)
+    there = turned(wxyz(start), torch.from_numpy(angle * axis)).numpy()
+    there *= np.sign((there * wxyz(end).numpy()).sum(1, keepdims=True))
+    np.testing.assert_allclose(there, wxyz(end), atol=1e-14)
     found = rotation_between(wxyz(start), wxyz(end)).numpy()
     if angle > np.pi - 1e-9:  # half a turn: both signs of the axis are right
         found = found * np.sign((found * axis).sum(1, keepdims=True))
     # relative in the large, absolute rounding of the products in the small
     np.testing.assert_allclose(found, angle * axis, rtol=1e-6, atol=1e-14)
-
-
-@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-6, 1e-3, 0.5, 3.0, 7.0])
-def test_turning_by_a_rotation_vector_is_scipys_product(angle: float) -> None:
-    axis = vectors(32)
-    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
-    start = attitudes(32)
-    end = wxyz(start * Rotation.from_rotvec(angle * axis)).numpy()
-    found = turned(wxyz(start), torch.from_numpy(angle * axis)).numpy()
-    found *= np.sign((found * end).sum(1, keepdims=True))
-    np.testing.assert_allclose(found, end, atol=1e-14)
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])

@@ -84,6 +84,8 @@ def test_where_a_fit_is_not_to_be_simulated_it_says_so(
     own = rehearse(found, logs=1)
     assert own.again == ()
     assert "leaves the range of the log" in own.why_not
+    with pytest.raises(ConfigError, match="`logs` must be at least 1; got 0"):
+        rehearse(found, logs=0)
 
 
 def test_inputs_that_follow_keep_a_pole_up_which_replayed_ones_lose() -> None:
@@ -96,11 +98,6 @@ def test_inputs_that_follow_keep_a_pole_up_which_replayed_ones_lose() -> None:
     follow, replay = (abs(rollouts.run(theta, start, drive, 299)[0][0, -1, 2]) for drive in ways)
     assert follow < 0.01
     assert replay > 0.5
-
-
-def test_no_log_is_no_rehearsal(found: Diagnosis) -> None:
-    with pytest.raises(ConfigError, match="`logs` must be at least 1; got 0"):
-        rehearse(found, logs=0)
 
 
 HOLD = np.repeat([[0.1], [-0.1], [0.0]], 25, 0)

@@ -1,7 +1,10 @@
 """One run written as logs of other formats and conventions, as their programs write them."""
 
+import shutil
 import struct
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,10 +48,8 @@ columns:
 def write_table(path: Path, columns: dict[str, Array]) -> Path:
     kind = path.suffix
     if kind in (".csv", ".tsv"):
-        mark = "," if kind == ".csv" else "\t"
-        rows = np.column_stack(list(columns.values())).tolist()
-        lines = [mark.join(columns), *(mark.join(map(repr, row)) for row in rows)]
-        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        mark, rows = "," if kind == ".csv" else "\t", np.column_stack(list(columns.values()))
+        np.savetxt(path, rows, "%.17g", mark, header=mark.join(columns), comments="")
     elif kind == ".npz":
         np.savez(path, **columns)
     elif kind == ".mat":
@@ -61,43 +62,40 @@ def write_table(path: Path, columns: dict[str, Array]) -> Path:
         with h5py.File(path, "w") as file:
             for name, values in columns.items():
                 file[f"log/{name}"] = values
-    elif kind == ".parquet":
+    else:
         import pyarrow
         import pyarrow.parquet as parquet
 
         parquet.write_table(pyarrow.table(columns), path)
-    else:
-        raise ValueError(kind)
     return path
 
 
-def _ros_messages(run: RawRun, store: object) -> list[tuple[str, str, int, object]]:
+def _ros_messages(run: RawRun, types: Mapping[str, Any]) -> Iterator[tuple[str, str, int, Any]]:
     """An odometry (ENU, FLU, twist along the body's axes) and motor commands: topic, type, time [ns], message."""
-    types = store.types  # type: ignore[attr-defined]
-    header, stamp = types["std_msgs/msg/Header"], types["builtin_interfaces/msg/Time"]
-    ros1 = "seq" in header.__dataclass_fields__
+    odometry, motors = "nav_msgs/msg/Odometry", "std_msgs/msg/Float32MultiArray"
+    ros1 = "seq" in types["std_msgs/msg/Header"].__dataclass_fields__
     layout = types["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
-    out = []
     body = rotate(conjugate(run.x[:, 6:10]), run.x[:, 3:6])
+
+    def made(kind: str, *values: object, **named: object) -> Any:
+        return types[f"geometry_msgs/msg/{kind}"](*values, **named)
+
     for k, t in enumerate(run.t):
-        nanoseconds = round(t * 1e9) + 1_700_000_000_000_000_000
-        at = stamp(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
-        x = run.x[k].tolist()
-        vector, point = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Point"]
-        pose = types["geometry_msgs/msg/Pose"](
-            position=point(*x[:3]), orientation=types["geometry_msgs/msg/Quaternion"](x[7], x[8], x[9], x[6])
+        at, x = round(t * 1e9) + 1_700_000_000_000_000_000, run.x[k].tolist()
+        stamp = types["builtin_interfaces/msg/Time"](sec=at // 10**9, nanosec=at % 10**9)
+        pose = made(
+            "Pose", position=made("Point", *x[:3]), orientation=made("Quaternion", x[7], x[8], x[9], x[6])
         )
-        twist = types["geometry_msgs/msg/Twist"](linear=vector(*body[k].tolist()), angular=vector(*x[10:13]))
-        odometry = types["nav_msgs/msg/Odometry"](
-            header=header(**({"seq": k} if ros1 else {}), stamp=at, frame_id="map"),
+        linear, angular = made("Vector3", *body[k].tolist()), made("Vector3", *x[10:13])
+        twist, none = made("Twist", linear=linear, angular=angular), np.zeros(36)
+        message = types[odometry](
+            header=types["std_msgs/msg/Header"](**({"seq": k} if ros1 else {}), stamp=stamp, frame_id="map"),
             child_frame_id="base_link",
-            pose=types["geometry_msgs/msg/PoseWithCovariance"](pose=pose, covariance=np.zeros(36)),
-            twist=types["geometry_msgs/msg/TwistWithCovariance"](twist=twist, covariance=np.zeros(36)),
+            pose=made("PoseWithCovariance", pose=pose, covariance=none),
+            twist=made("TwistWithCovariance", twist=twist, covariance=none),
         )
-        out.append(("/odom", "nav_msgs/msg/Odometry", nanoseconds, odometry))
-        motors = types["std_msgs/msg/Float32MultiArray"](layout=layout, data=run.u[k].astype(np.float32))
-        out.append(("/motor_commands", "std_msgs/msg/Float32MultiArray", nanoseconds, motors))
-    return out
+        yield "/odom", odometry, at, message
+        yield "/motor_commands", motors, at, types[motors](layout=layout, data=run.u[k].astype(np.float32))
 
 
 def write_ros(path: Path, run: RawRun) -> Path:
@@ -105,38 +103,21 @@ def write_ros(path: Path, run: RawRun) -> Path:
     from rosbags import rosbag1, rosbag2
     from rosbags.typesys import Stores, get_typestore
 
-    if path.suffix == ".bag":
-        store = get_typestore(Stores.ROS1_NOETIC)
-        with rosbag1.Writer(path) as bag:
-            topics: dict[str, object] = {}
-            for topic, kind, at, message in _ros_messages(run, store):
-                if topic not in topics:
-                    topics[topic] = bag.add_connection(topic, kind, typestore=store)
-                bag.write(topics[topic], at, store.serialize_ros1(message, kind))
-        return path
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    if path.suffix == ".mcap":
-        from mcap.writer import Writer
-
-        with path.open("wb") as file:
-            writer = Writer(file)
-            writer.start()
-            channels: dict[str, int] = {}
-            for topic, kind, at, message in _ros_messages(run, store):
-                if topic not in channels:
-                    text, _ = store.generate_msgdef(kind, ros_version=2)
-                    schema = writer.register_schema(kind, "ros2msg", text.encode())
-                    channels[topic] = writer.register_channel(topic, "cdr", schema)
-                raw = bytes(store.serialize_cdr(message, kind))
-                writer.add_message(channels[topic], at, raw, at)
-            writer.finish()
-        return path
-    with rosbag2.Writer(path, version=9) as bag:
-        connections: dict[str, object] = {}
-        for topic, kind, at, message in _ros_messages(run, store):
-            if topic not in connections:
-                connections[topic] = bag.add_connection(topic, kind, typestore=store)
-            bag.write(connections[topic], at, store.serialize_cdr(message, kind))
+    ros1, mcap = path.suffix == ".bag", path.suffix == ".mcap"
+    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    plugin = rosbag2.StoragePlugin.MCAP if mcap else rosbag2.StoragePlugin.SQLITE3
+    folder = path.with_suffix(".made") if mcap else path
+    writer = rosbag1.Writer(path) if ros1 else rosbag2.Writer(folder, version=9, storage_plugin=plugin)
+    with writer as bag:
+        topics: dict[str, Any] = {}
+        for topic, kind, at, message in _ros_messages(run, store.types):
+            if topic not in topics:
+                topics[topic] = bag.add_connection(topic, kind, typestore=store)
+            raw = store.serialize_ros1(message, kind) if ros1 else store.serialize_cdr(message, kind)
+            bag.write(topics[topic], at, raw)
+    if mcap:
+        next(folder.glob("*.mcap")).rename(path)
+        shutil.rmtree(folder)
     return path
 
 
@@ -202,12 +183,8 @@ def _signed(value: int) -> bytes:
 
 def write_betaflight(path: Path, run: RawRun, *, logs: int = 1) -> Path:
     """A run as a black box log of intra frames alone: gyro in deg/s (FLU), motors from 48 to 2047."""
-    names = [
-        "loopIteration",
-        "time",
-        *(f"gyroADC[{k}]" for k in range(3)),
-        *(f"motor[{k}]" for k in range(4)),
-    ]
+    names = ["loopIteration", "time"]
+    names += [*(f"gyroADC[{k}]" for k in range(3)), *(f"motor[{k}]" for k in range(4))]
     fields = {"I name": ",".join(names), "I signed": "0,0,1,1,1,1,1,1,1"}
     fields |= {f"{frame} predictor": "0,0,0,0,0,0,0,0,0" for frame in "IP"}
     fields |= {f"{frame} encoding": "1,1,0,0,0,0,0,0,0" for frame in "IP"}
@@ -230,7 +207,8 @@ def write_betaflight(path: Path, run: RawRun, *, logs: int = 1) -> Path:
     return path
 
 
-PX4_ODOMETRY = """\
+PX4 = {
+    "px4_msgs/msg/VehicleOdometry": """\
 uint64 timestamp
 uint64 timestamp_sample
 uint8 pose_frame
@@ -239,13 +217,14 @@ float32[4] q
 uint8 velocity_frame
 float32[3] velocity
 float32[3] angular_velocity
-"""
-PX4_MOTORS = """\
+""",
+    "px4_msgs/msg/ActuatorMotors": """\
 uint64 timestamp
 uint64 timestamp_sample
 uint16 reversible_flags
 float32[12] control
-"""
+""",
+}
 
 
 def write_px4_mcap(path: Path, run: RawRun) -> Path:
@@ -256,38 +235,30 @@ def write_px4_mcap(path: Path, run: RawRun) -> Path:
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.EMPTY)
-    kinds = {"px4_msgs/msg/VehicleOdometry": PX4_ODOMETRY, "px4_msgs/msg/ActuatorMotors": PX4_MOTORS}
-    for kind, text in kinds.items():
+    for kind, text in PX4.items():
         store.register(get_types_from_msg(text, kind))
     p, v = swap_world(run.x[:, :3]), swap_world(run.x[:, 3:6])
     q, w = attitude_to_enu(run.x[:, 6:10]), swap_body(run.x[:, 10:13])
+    state = {"position": p, "q": q, "velocity": v, "angular_velocity": w}
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start()
-        schemas = {k: writer.register_schema(k, "ros2msg", text.encode()) for k, text in kinds.items()}
-        odometry = writer.register_channel("/fmu/odometry", "cdr", schemas["px4_msgs/msg/VehicleOdometry"])
-        motors = writer.register_channel("/fmu/motors", "cdr", schemas["px4_msgs/msg/ActuatorMotors"])
+        channels = {}
+        for topic, (kind, text) in zip(("/fmu/odometry", "/fmu/motors"), PX4.items(), strict=True):
+            schema = writer.register_schema(kind, "ros2msg", text.encode())
+            channels[kind] = writer.register_channel(topic, "cdr", schema)
         battery = writer.register_channel("/battery", "json", 0)
         blob = writer.register_channel("/blob", "protobuf", 0)
         for k, t in enumerate(run.t):
             at, stamp = round(t * 1e9) + 10**18, round(t * 1e6) + 5_000_000
-            state = {"position": p, "q": q, "velocity": v, "angular_velocity": w}
-            values = {name: column[k].astype(np.float32) for name, column in state.items()}
-            frames = {
-                "timestamp": stamp + 40,
-                "timestamp_sample": stamp,
-                "pose_frame": 1,
-                "velocity_frame": 1,
-            }
-            one = store.types["px4_msgs/msg/VehicleOdometry"](**frames, **values)
-            raw = bytes(store.serialize_cdr(one, "px4_msgs/msg/VehicleOdometry"))
-            writer.add_message(odometry, at, raw, at)
             control = np.full(12, np.nan, dtype=np.float32)
             control[:4] = run.u[k]
-            two = store.types["px4_msgs/msg/ActuatorMotors"](
-                timestamp=stamp + 30, timestamp_sample=stamp, reversible_flags=0, control=control
-            )
-            writer.add_message(motors, at, bytes(store.serialize_cdr(two, "px4_msgs/msg/ActuatorMotors")), at)
+            odometry = {name: column[k].astype(np.float32) for name, column in state.items()}
+            odometry |= {"timestamp": stamp + 40, "pose_frame": 1, "velocity_frame": 1}
+            motors = {"timestamp": stamp + 30, "reversible_flags": 0, "control": control}
+            for (kind, channel), values in zip(channels.items(), (odometry, motors), strict=True):
+                message = store.types[kind](timestamp_sample=stamp, **values)
+                writer.add_message(channel, at, bytes(store.serialize_cdr(message, kind)), at)
             if k % 50 == 0:
                 writer.add_message(battery, at, json.dumps({"cell": {"volts": [4.1, 4.0]}}).encode(), at)
                 writer.add_message(blob, at, b"\x08\x01", at)

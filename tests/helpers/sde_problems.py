@@ -1,6 +1,5 @@
 """Equations with closed forms, or with a known limit, for the tests of the solvers."""
 
-from abc import ABC, abstractmethod
 from typing import Literal, final
 
 import torch
@@ -11,36 +10,26 @@ from nsde_torch.sde import Step, Time, brownian, coarsen, rollout
 Calculus = Literal["ito", "stratonovich", "either"]
 
 
-class Problem(ABC):
-    """dz = f dt + g * dW whose solution at the time of W is known, given W."""
+class Equation:
+    """dz = f dt + g * dW, on all of space."""
 
-    calculus: Calculus
-    z0: float
-
-    @abstractmethod
-    def drift(self, t: Time, z: Tensor, u: Tensor) -> Tensor: ...
-
-    @abstractmethod
-    def diffusion(self, t: Time, z: Tensor, u: Tensor) -> Tensor: ...
-
-    @abstractmethod
-    def solution(self, t: float, w: Tensor, calculus: str) -> Tensor:
-        """z(t), given W(t) and the calculus in which the star is read."""
+    calculus: Calculus = "either"
 
     def project(self, z: Tensor) -> Tensor:
         return z
 
 
-class Quiet:
+class Quiet(Equation):
     """dz = f dt."""
-
-    calculus: Calculus = "either"
 
     def diffusion(self, t: Time, z: Tensor, u: Tensor) -> Tensor:
         return torch.zeros_like(z)
 
-    def project(self, z: Tensor) -> Tensor:
-        return z
+
+class Problem(Equation):
+    """One whose `solution` z(t) at the time of W is known, given W and the calculus in which the star is read."""
+
+    z0: float
 
 
 @final
@@ -79,7 +68,7 @@ class SquareRoot(Problem):
 
 
 @final
-class DistanceAware:
+class DistanceAware(Equation):
     """Coupled diagonal noise, g_i = s sqrt(1 + |z|^2): every channel's sigma depends on all of z."""
 
     def __init__(self, s: float = 0.5, calculus: Calculus = "either") -> None:
@@ -91,15 +80,10 @@ class DistanceAware:
     def diffusion(self, t: Time, z: Tensor, u: Tensor) -> Tensor:
         return self.s * (1.0 + (z * z).sum(-1, keepdim=True)).sqrt().expand_as(z)
 
-    def project(self, z: Tensor) -> Tensor:
-        return z
-
 
 @final
-class SharedSum:
+class SharedSum(Equation):
     """dz_i = s (z_1 + ... + z_n) * dW_i: E sum(z) stays (Ito) or grows, exp(n s^2 t / 2) (Stratonovich)."""
-
-    calculus: Calculus = "either"
 
     def __init__(self, s: float = 0.5) -> None:
         self.s = s
@@ -109,9 +93,6 @@ class SharedSum:
 
     def diffusion(self, t: Time, z: Tensor, u: Tensor) -> Tensor:
         return self.s * z.sum(-1, keepdim=True).expand_as(z)
-
-    def project(self, z: Tensor) -> Tensor:
-        return z
 
 
 @final

@@ -58,17 +58,9 @@ def linear_runs(
 ) -> list[Run]:
     """Runs of a linear spring whose disturbances are held over each step, as the filter has them.
 
-    Args:
-        count: Number of runs.
-        seconds: Length of each [s].
-        seed: Of forces and noise.
-        dt: Step of the log [s].
-        values: Parameters.
-        sensor: Standard deviations of the sensors of position and rate.
-        white: Density of the white disturbance.
-        gust: Standard deviation of the Ornstein-Uhlenbeck one.
-        lasts: Its time constant [s].
-        lag: Time constant with which the force follows the command [s]; 0: none.
+    `sensor` are standard deviations of the sensors of position and rate, `white` the density of a white disturbance,
+    `gust` the standard deviation of an Ornstein-Uhlenbeck one that `lasts` so long [s]; the force follows the command
+    with a `lag` [s].
     """
     n, rng, out = round(seconds / dt) + 1, np.random.default_rng([seed, 3]), []
     fine = 20 if lag else 1

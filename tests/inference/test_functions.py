@@ -11,6 +11,7 @@ from nsde_torch.inference import LogLikelihood, maximised
 from nsde_torch.inference.force_scores import DRAWS, FunctionScores
 from nsde_torch.inference.functions import Functions, learned, log_chance, seen_by_networks
 from nsde_torch.systems import make_system
+from nsde_torch.systems.parameters import ParameterVector
 from tests.inference.springs import SENSOR, TRUTH, B, G, K, rubbing, run, small_runs, spring
 
 
@@ -25,7 +26,7 @@ def test_a_drag_is_found_as_a_function_of_the_speed_with_what_the_damping_is_bes
     assert out.groups
     assert {name for g in out.groups for name in g.variables} == {"q_dot"}
     assert out.nats[0] > 10.0 * out.error[0] > 0.0 or out.nats[0] > 50.0
-    damping = out.theta[spring_labels().index(B)]
+    damping = out.theta[LABELS.index(B)]
     reach = 0.8 * out.scaled["q_dot"].half
     v = np.linspace(-reach, reach, 9)
     values = {"q": np.zeros(9), "q_dot": v}
@@ -36,8 +37,7 @@ def test_a_drag_is_found_as_a_function_of_the_speed_with_what_the_damping_is_bes
     assert (out.force(values, 0)[1] >= 0).all()
 
 
-def spring_labels() -> list[str]:
-    return list(LogLikelihood(spring(), small_runs(rubbing(0.0), 1, 3.0, seed=0)).vector.labels)
+LABELS = ParameterVector(spring()).labels
 
 
 def test_nothing_is_found_where_nothing_is_missing() -> None:
@@ -124,5 +124,5 @@ def test_a_law_that_one_run_alone_shows_is_found() -> None:
     out = learned(at, seen_by_networks(plain), [0])
     assert {name for g in out.groups for name in g.variables} == {"q"}
     q = np.linspace(-1.0, 1.0, 9)
-    force = out.force({"q": q, "q_dot": np.zeros(9)}, 0)[0] - out.theta[spring_labels().index(K)] * q
+    force = out.force({"q": q, "q_dot": np.zeros(9)}, 0)[0] - out.theta[LABELS.index(K)] * q
     np.testing.assert_allclose(force, -4.0 * q - 0.8 * q**3, atol=0.1)

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+import nsde_torch
 from nsde_torch.data import Run
 from nsde_torch.inference import LogLikelihood, Optimum, log_likelihood, maximised
 from nsde_torch.inference.left_out import Folds, left_out
-from nsde_torch.recording import assemble
 from nsde_torch.simulation import simulate
 from nsde_torch.systems import System, make_system
 from tests.inference.springs import linear_runs, spring
@@ -72,7 +72,7 @@ def test_what_no_other_run_shows_stays_where_all_runs_have_it() -> None:
 @pytest.mark.slow
 def test_a_velocity_that_is_turned_into_the_body_leaves_the_density_of_a_row_as_it_is() -> None:
     made = simulate("hexacopter", seed=1, durations=[4.0], declared_only=True)
-    runs = list(assemble(list(made.runs), make_system("hexacopter"), kind="test").runs)
+    runs = list(nsde_torch.read(made, system="hexacopter").runs)
     at = as_it_stands(make_system("hexacopter"), runs)
     still = np.ones(len(at.of.vector), dtype=np.bool_)
     found = left_out(at, Folds(np.zeros(1, dtype=np.int64), np.full(1, -np.inf)), still)

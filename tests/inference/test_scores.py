@@ -22,7 +22,7 @@ from nsde_torch.inference.filtering import Linearisation, Pass, filtered, with_g
 from nsde_torch.inference.force_scores import force_scores
 from nsde_torch.inference.levels import Levels
 from nsde_torch.inference.maximum import level_slopes, score
-from nsde_torch.inference.sensitivity import grams, inverted
+from nsde_torch.inference.sensitivity import grams
 from nsde_torch.systems import make_system
 from tests.helpers.diagnosed import recorded
 from tests.helpers.residuals import with_own_pass
@@ -195,14 +195,3 @@ def test_the_score_holds_over_long_chunks_of_precise_sensors(precise: float) -> 
         assert white[j] * of_white[j] == pytest.approx((up - down) / 2e-3, rel=1e-2, abs=1e-2)
     up, down = (passed(sensor * (1.0 + way * 1e-3 * np.eye(3)[2]), white)[0] for way in (1.0, -1.0))
     assert sensor[2] * of_sensors[2] == pytest.approx((up - down) / 2e-3, rel=1e-2, abs=1e-2)
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_what_no_row_shows_does_not_move(seed: int) -> None:
-    """Of a run that is left out, its own number; without one, numbers of all runs move as their mean does."""
-    table = np.random.default_rng(seed).normal(size=(50, 5))
-    table[:, 4], table[:, 2] = table[:, 0] + table[:, 1], 0.0
-    inverse = inverted(table.T @ table)
-    shown = [0, 1, 3, 4]
-    assert np.abs(inverse[2]).max() == 0.0
-    np.testing.assert_allclose(inverse[np.ix_(shown, shown)], inverted(table[:, shown].T @ table[:, shown]))

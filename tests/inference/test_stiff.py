@@ -5,13 +5,11 @@ import pytest
 import torch
 from scipy.linalg import expm
 from torch import Tensor
-from torch.fx.experimental.proxy_tensor import make_fx
 
 import nsde_torch
 from nsde_torch.diagnosis.joint_selection import fitted_at
 from nsde_torch.effects import Port
 from nsde_torch.inference import LogLikelihood
-from nsde_torch.sde import WithoutNoise, make_step
 from nsde_torch.sde.exponential import exponentials, stiff_change
 from tests.helpers.electric_motors import BACK, DRAG, PULL, CoilMotor, turns
 from tests.helpers.heated_plates import Plate, heated
@@ -87,17 +85,6 @@ def test_a_model_of_it_predicts() -> None:
     errors = model.metrics["test"]
     assert errors["diverged"] == 0
     assert errors["errors"]["model"]["w"]["1"] < 0.02 * errors["errors"]["hold"]["w"]["1"]
-
-
-def test_its_step_can_be_traced_as_an_export_asks_for() -> None:
-    motor, step = CoilMotor(), make_step("exponential")
-    machine = WithoutNoise(motor, motor.drift)
-    z, u = torch.tensor([[0.1, 2.0, 0.5]]), torch.tensor([[3.0]])
-
-    def advance(z: Tensor, u: Tensor) -> Tensor:
-        return step.advance(machine, 0.0, z, u, 0.01, None)
-
-    torch.testing.assert_close(make_fx(advance)(z, u)(2.0 * z, u), advance(2.0 * z, u))
 
 
 def test_a_mass_that_turns_round_within_a_step_is_held_there() -> None:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.signal import butter, sosfiltfilt
 
 import nsde_torch
 from nsde_torch.data import DataSet, RawRun
@@ -152,29 +153,23 @@ def test_inputs_that_act_as_late_as_actuators_do_are_a_note_and_others_an_object
     assert not Shifted("u", 0.05, 1.0, True).of_actuators
 
 
-def with_other(**machine: Any) -> list[RawRun]:
-    """Two runs of a spring, and one of another."""
+LOADED = {"force_gain": 0.6, "linear_spring.stiffness": 0.6, "viscous_friction.damping": 0.3}
+
+
+@pytest.mark.parametrize(
+    ("machine", "load"),
+    [({"effects": {"linear_spring": {"stiffness": 1.6}}}, None), ({"parameters": LOADED}, 1.0 / 0.6)],
+    ids=["another machine", "a load"],
+)
+def test_a_run_of_another_machine_is_named(machine: dict[str, Any], load: float | None) -> None:
     other = nsde_torch.simulate("mass_spring_damper", durations=[10.0], seed=9, **machine).runs[0]
-    return [*log_of("mass_spring_damper")[:2], RawRun("run_9", other.t + 40.0, other.x, other.u)]
-
-
-def test_a_run_of_another_machine_is_named() -> None:
-    (objection,) = guard_of(
-        "mass_spring_damper", runs=with_other(effects={"linear_spring": {"stiffness": 1.6}})
-    ).objections
+    runs = [*log_of("mass_spring_damper")[:2], RawRun("run_9", other.t + 40.0, other.x, other.u)]
+    (objection,) = guard_of("mass_spring_damper", runs=runs).objections
     assert objection.kind == "odd_run"
     assert "'run_9'" in objection.sentence
-    assert "stiffness" in objection.sentence
-    assert "times the mass" not in objection.sentence
-    assert "another machine" in objection.remedy
-
-
-def test_a_run_with_a_load_is_reported_as_a_multiple_of_the_mass() -> None:
-    loaded = {"force_gain": 0.6, "linear_spring.stiffness": 0.6, "viscous_friction.damping": 0.3}
-    (objection,) = guard_of("mass_spring_damper", runs=with_other(parameters=loaded)).objections
-    assert objection.kind == "odd_run"
-    found = re.search(r"'run_9' .* as with (\S+) times the mass", objection.sentence)
-    assert float(found[1]) == pytest.approx(1.0 / 0.6, abs=0.05)
+    told = re.search(r"as with (\S+) times the mass", objection.sentence)
+    assert (told and float(told[1])) == (load and pytest.approx(load, abs=0.05))
+    assert load or ("stiffness" in objection.sentence and "another machine" in objection.remedy)
 
 
 def test_an_input_of_another_run_names_the_run() -> None:
@@ -189,8 +184,6 @@ def test_an_input_of_another_run_names_the_run() -> None:
 
 @pytest.mark.slow
 def test_a_fit_whose_noise_model_learned_a_smoother_is_not_believed() -> None:
-    from scipy.signal import butter, sosfiltfilt
-
     def smoothed(k: int, run: RawRun) -> None:
         run.x[:] = sosfiltfilt(butter(2, 2.0, fs=50.0, output="sos"), run.x, axis=0)
 

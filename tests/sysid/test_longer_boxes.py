@@ -14,6 +14,7 @@ from nsde_torch.sysid import Identification, identify, identify_in_loop
 from nsde_torch.sysid.regression import Regression, narrower, regression_of
 from nsde_torch.sysid.standstill import moving
 from nsde_torch.systems import System, make_system
+from tests.helpers.machines import Array, simulated
 from tests.helpers.sticking import STICKING, sticking_runs
 
 STEP = 1e-3
@@ -139,48 +140,30 @@ def test_rows_within_noise_of_a_standstill_and_of_a_turn_are_left_out() -> None:
     assert not set(turns) & set(kept)
 
 
-FORCE, DRY_SIZE, WIDTH = 1.0, 0.6, 0.004
+def test_a_width_goes_on_below_the_bound_of_the_search_and_the_size_is_right(system: System) -> None:
+    """A mass on a spring that mostly moves at 2 m/s, and turns round within 4 mm/s."""
+    size, runs = 0.6, []
 
+    def rates(x: Array, u: Array) -> list[float]:
+        return [x[1], u[0] - 2.0 * x[0] - 0.3 * x[1] - size * np.tanh(x[1] / 0.004)]
 
-def _run(seed: int, width: float) -> RawRun:
-    """A mass on a spring at 100 Hz that mostly moves at 2 m/s; Euler and Cromer's rule, a hundred times in a step."""
-    rng, dt, inner = np.random.default_rng(seed), 0.01, 100
-    t = dt * np.arange(1000)
-    force = np.sin(t[:, None] * (0.9, 2.3, 3.1) + rng.uniform(0.0, 6.3, 3)) @ (2.0, 2.0, 1.5)
-    x, q, v, h = np.empty((len(t), 2)), 0.0, 0.5, dt / inner
-    for i, push in enumerate(force):
-        x[i] = q, v
-        for _ in range(inner):
-            v += h * (FORCE * push - 2.0 * q - 0.3 * v - DRY_SIZE * np.tanh(v / width))
-            q += h * v
-    return RawRun(f"run_{seed}", 100.0 * seed + t, x + 1e-4 * rng.normal(size=x.shape), force[:, None])
-
-
-@pytest.fixture(scope="module")
-def fast(system: System) -> DataSet:
-    return assemble([_run(k, WIDTH) for k in range(2)], system, kind="test")
-
-
-def _value(regression: Regression, name: str) -> float:
-    return float(regression.theta[regression.vector.labels.index(name)])
-
-
-def _off(regression: Regression) -> float:
-    """Distance of the size from the truth in standard errors."""
-    j = regression.vector.labels.index("coulomb_friction.size")
-    basis = regression.shown.basis
-    error = np.sqrt((basis @ regression.spread().covariance @ basis.T)[j, j])
-    return float(abs(regression.theta[j] - DRY_SIZE) / error)
-
-
-def test_a_width_goes_on_below_the_bound_of_the_search_and_the_size_is_right(
-    system: System, fast: DataSet
-) -> None:
-    within = regression_of(system, fast.runs)
+    for k in range(2):
+        rng, t = np.random.default_rng(k), 0.01 * np.arange(1000)
+        waves = t[:, None] * (0.9, 2.3, 3.1) + rng.uniform(0.0, 6.3, 3)
+        force = np.sin(waves) @ np.array([[2.0], [2.0], [1.5]])
+        runs.append(simulated(k, rates, [0.0, 0.5], force, 0.01, noise=1e-4, rng=rng, fine=50))
+    within = regression_of(system, assemble(runs, system, kind="test").runs)
     within.run(20)
-    bound = within.vector.low[within.vector.labels.index("coulomb_friction.width")]
-    assert _value(within, "coulomb_friction.width") == pytest.approx(bound, rel=1e-3)
+    dry, width = (within.vector.labels.index(f"coulomb_friction.{name}") for name in ("size", "width"))
+
+    def off(fit: Regression) -> float:
+        """Distance of the size from the truth in standard errors."""
+        basis = fit.shown.basis
+        error = np.sqrt((basis @ fit.spread().covariance @ basis.T)[dry, dry])
+        return float(abs(fit.theta[dry] - size) / error)
+
     found = narrower(within, 20)
-    assert _value(found, "coulomb_friction.width") < 0.75 * bound
-    assert _off(within) > 2.5
-    assert _off(found) < 1.5
+    assert within.theta[width] == pytest.approx(within.vector.low[width], rel=1e-3)
+    assert found.theta[width] < 0.75 * within.vector.low[width]
+    assert off(within) > 2.5
+    assert off(found) < 1.5

@@ -2,6 +2,8 @@
 
 import json
 from dataclasses import replace
+from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,93 +18,72 @@ from nsde_torch.sysid.result import Identification
 from nsde_torch.sysid.signals import directions, score_tests
 from tests.helpers.rate_loops import CONTROLLERS, GAIN, RateLoop, fly
 
-SEEDS = range(1)
-Flights = dict[str, list[list[Run]]]
+
+@cache
+def flown(controller: str, **how: Any) -> list[Run]:
+    return fly(controller, seeds=range(1), **how)[0]
 
 
-@pytest.fixture(scope="module")
-def flights() -> Flights:
-    return {c: fly(c, seeds=SEEDS) for c in CONTROLLERS}
-
-
-@pytest.fixture(scope="module")
-def plain(flights: Flights) -> dict[str, list[Identification]]:
-    return {c: [identify_in_loop(RateLoop(), r) for r in flights[c]] for c in CONTROLLERS}
+@cache
+def plain(controller: str) -> Identification:
+    return identify_in_loop(RateLoop(), flown(controller))
 
 
 def holds(found: Identification) -> bool:
     return bool(abs(found.values[0] - GAIN) <= found.half_widths(0.99)[0])
 
 
-@pytest.mark.slow
-def test_the_loop_is_closed_where_it_is_and_open_where_it_is_not(
-    plain: dict[str, list[Identification]],
-) -> None:
-    for controller, found in plain.items():
-        assert all(f.loop is not None and f.loop.closed == (controller != "open") for f in found), controller
-    loop = plain["logged"][0].loop
-    assert loop.answers[0].within_s == pytest.approx(0.01)  # the controller acts on what it sees at once
-    assert loop.answers[0].share > 0.2
+@pytest.mark.parametrize("controller", CONTROLLERS)
+def test_the_loop_is_closed_where_it_is_and_intervals_hold_what_it_hides(controller: str) -> None:
+    found, hides = plain(controller), controller in ("other", "fast")
+    assert found.loop.closed == (controller != "open")
+    # inputs predict innovations only where the controller saw more than the log
+    assert found.loop.predictive == hides
+    assert holds(found)
+    assert (found.doubt[0] > 0) == hides
 
 
-def test_inputs_predict_innovations_only_where_the_controller_saw_more_than_the_log(
-    plain: dict[str, list[Identification]],
-) -> None:
-    for controller, found in plain.items():
-        told = controller in ("other", "fast")
-        assert all(f.loop is not None and f.loop.predictive == told for f in found), controller
-
-
-def test_intervals_hold_what_feedback_hides_and_are_not_widened_where_it_hides_nothing(
-    plain: dict[str, list[Identification]],
-) -> None:
-    for controller, found in plain.items():
-        assert all(holds(f) for f in found), controller
-        assert all(
-            f.doubt is not None and (f.doubt[0] > 0) == (controller in ("other", "fast")) for f in found
-        )
-    # without the widening they would not: it is needed
-    assert all(abs(f.values[0] - GAIN) > 4 * f.standard_errors[0] for f in plain["fast"])
-    assert any("widened" in sentence for sentence in plain["fast"][0].of_the_loop)
+def test_the_widening_is_needed_and_said() -> None:
+    found = plain("fast")
+    assert abs(found.values[0] - GAIN) > 4 * found.standard_errors[0]
+    assert any("widened" in sentence for sentence in found.of_the_loop)
+    answer = plain("logged").loop.answers[0]
+    assert answer.within_s == pytest.approx(0.01)  # the controller acts on what it sees at once
+    assert answer.share > 0.2
 
 
 def test_a_lag_that_is_not_declared_is_told_too_and_is_silent_once_it_is() -> None:
-    runs = fly("logged", seeds=range(1), lag=True)[0]
+    runs = flown("logged", lag=True)
     assert feedback_summary(RateLoop(), runs).predictive
     assert not feedback_summary(RateLoop(effects=["actuator_lag"]), runs).predictive
 
 
-def test_the_stick_finds_the_gain_that_ordinary_estimates_miss(flights: Flights) -> None:
-    values = []
-    for runs in flights["other"]:
-        found = identify_in_loop(RateLoop(), runs, instruments=["stick", "idle"])
-        i = found.instrumented
-        assert found.loop is not None
-        assert adopted(i, found.loop)
-        assert i.differs
-        assert not i.refused
-        assert found.half_widths(0.9)[0] < 6
-        assert holds(found)
-        values.append(found.values[0])
-    assert np.mean(values) == pytest.approx(GAIN, rel=0.03)  # ordinary ones: 84
+def test_the_stick_finds_the_gain_that_ordinary_estimates_miss() -> None:
+    found = identify_in_loop(RateLoop(), flown("other"), instruments=["stick", "idle"])
+    assert adopted(found.instrumented, found.loop)
+    assert found.instrumented.differs
+    assert not found.instrumented.refused
+    assert found.half_widths(0.9)[0] < 6
+    assert holds(found)
+    assert found.values[0] == pytest.approx(GAIN, rel=0.03)  # the ordinary one: 84
 
 
-def test_a_signal_that_moves_nothing_is_weak_and_the_ordinary_estimate_stays(flights: Flights) -> None:
-    found = identify_in_loop(RateLoop(), flights["other"][0], instruments=["idle"], likelihood=False)
+def test_a_signal_that_moves_nothing_is_weak_and_the_ordinary_estimate_stays() -> None:
+    found = identify_in_loop(RateLoop(), flown("other"), instruments=["idle"], likelihood=False)
     assert not found.instrumented.moved.any()
     assert found.values[0] == found.instrumented.ordinary[0]
     assert found.doubt[0] > 0
 
 
 def test_a_stick_that_answers_the_machine_is_refused_by_name() -> None:
-    runs = fly("logged", seeds=range(1), pilot=True)[0]
+    runs = flown("logged", pilot=True)
     found = identify_in_loop(RateLoop(), runs, instruments=["stick"])
     assert "not exogenous" in found.instrumented.refused["stick"]
     assert any("instrument stick is not used" in sentence for sentence in found.of_the_loop)
 
 
 def test_instruments_tell_a_missing_lag_and_are_then_not_printed() -> None:
-    runs = fly("logged", seeds=range(1), lag=True)[0]
+    runs = flown("logged", lag=True)
     found = identify_in_loop(RateLoop(), runs, instruments=["stick"])
     assert found.instrumented.unexplained < 1e-6
     assert found.values[0] == found.instrumented.ordinary[0]
@@ -110,7 +91,7 @@ def test_instruments_tell_a_missing_lag_and_are_then_not_printed() -> None:
 
 
 def test_inputs_that_are_a_function_of_the_state_are_said_to_show_no_gain() -> None:
-    runs = fly("logged", seeds=range(1), stick=0.0)[0]
+    runs = flown("logged", stick=0.0)
     loop = feedback_summary(RateLoop(), runs)
     assert loop.functions_of_state == ("u",)
     assert any("its gain is not identifiable" in sentence for sentence in loop.findings)
@@ -119,8 +100,8 @@ def test_inputs_that_are_a_function_of_the_state_are_said_to_show_no_gain() -> N
     json.dumps(found.as_dict(), allow_nan=False)
 
 
-def test_instruments_that_are_missing_or_never_change_are_errors(flights: Flights) -> None:
-    run = flights["open"][0][0]
+def test_instruments_that_are_missing_or_never_change_are_errors() -> None:
+    run = flown("open")[0]
     with pytest.raises(
         DataError, match="names 'sticks', which run 'run_0' does not have; further columns: idle, stick"
     ):

@@ -1,5 +1,7 @@
 """Inputs as a sensor measured them: machines that NumPy integrates."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,29 +9,25 @@ from nsde_torch.api.reading import read
 from nsde_torch.data import DataSet
 from nsde_torch.data.raw import RawRun
 from nsde_torch.systems import make_system
+from tests.helpers.machines import Array, simulated
 
 DT, STIFFNESS, DAMPING = 0.01, 2.0, 0.4
 SPRING = make_system("mass_spring_damper")
 
 
+def spring(x: Array, u: Array) -> list[float]:
+    return [x[1], u[0] - STIFFNESS * x[0] - DAMPING * x[1]]
+
+
 def thrown(seed: int, *, levels: tuple[float, ...], noise: float, acts: bool = False) -> list[RawRun]:
-    """A spring under a force that changes its level at random, 20 s in steps of 1 ms, logged every 10 ms with noise."""
+    """A spring under a force that changes its level at random, 20 s, logged every 10 ms with noise."""
     rng = np.random.default_rng(seed)
     out = []
-    for name in ("a", "b"):
-        n, x = 2000, np.zeros((2000, 2))
-        force = np.array(levels)[np.repeat(rng.integers(len(levels), size=n // 40), 40)]
-        logged = force + noise * rng.standard_normal(n)
-        q, v = 0.3, 0.0
-        for k in range(n):
-            x[k] = q, v
-            for _ in range(10):
-                q, v = (
-                    q + 0.001 * v,
-                    v + 0.001 * ((logged if acts else force)[k] - STIFFNESS * q - DAMPING * v),
-                )
-        x += 0.0003 * rng.standard_normal(x.shape)
-        out.append(RawRun(name, DT * np.arange(n), x, logged[:, None]))
+    for number in range(2):
+        force = np.array(levels)[np.repeat(rng.integers(len(levels), size=50), 40), None]
+        logged = force + noise * rng.standard_normal(force.shape)
+        run = simulated(number, spring, [0.3, 0.0], logged if acts else force, DT, noise=0.0003, rng=rng)
+        out.append(replace(run, u=logged))
     return out
 
 

@@ -8,7 +8,6 @@ import torch
 
 from nsde_torch.data import Run
 from nsde_torch.effects.actuators import ActuatorLag
-from nsde_torch.errors import DataError
 from nsde_torch.inference.steps import Steps, memory_along, steps_of
 from nsde_torch.systems import System, make_system
 
@@ -113,34 +112,3 @@ def test_memory_that_nobody_knows_exactly_is_integrated_with_what_is_known_held(
         m[k + 1, 0] = u[k, 0] + (m[k, 0] - u[k, 0]) * fade
         m[k + 1, 1] = m[k, 0] + (m[k, 1] - m[k, 0]) * fade
     np.testing.assert_allclose(last, m[-1 - len(steps) : -1, 1], atol=0.02)
-
-
-SPRING = make_system("mass_spring_damper")
-
-
-def run(n: int = 20, *, gap_after: int | None = 12) -> Run:
-    t = 0.01 * np.arange(n)
-    segments = ()
-    if gap_after:
-        t[gap_after:] += 1.0
-        segments = ((0, gap_after), (gap_after, n))
-    x = np.stack([np.arange(n), 100.0 + np.arange(n)], 1)
-    return Run("r", t, x, -np.arange(n)[:, None], segments=segments)
-
-
-def test_a_step_has_both_ends_and_the_input_held_over_it() -> None:
-    steps = steps_of(SPRING, [run(), run(5, gap_after=None)], clock=1.1, smooth=False)
-    assert steps.segments == ((0, 11), (11, 18), (18, 22))
-    assert steps.runs == (0, 0, 1)
-    assert (len(steps), steps.run_in) == (22, None)
-    np.testing.assert_array_equal(steps.x1[:, 0] - steps.x0[:, 0], 1.0)
-    np.testing.assert_array_equal(steps.u[:, 0], -steps.x0[:, 0])
-    assert (steps.logged_dt, steps.dt) == (0.01, pytest.approx(0.011))
-    assert steps.starts.tolist() == [0] * 11 + [11] * 7 + [18] * 4
-
-
-def test_short_segments_are_left_out_and_none_left_is_refused() -> None:
-    steps = steps_of(SPRING, [run()], clock=1.0, smooth=False, shortest=8)
-    assert steps.segments == ((0, 11),)
-    with pytest.raises(DataError, match="no stretch of 50 steps"):
-        steps_of(SPRING, [run()], clock=1.0, smooth=False, shortest=50)

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from nsde_torch.sysid import noise
-from nsde_torch.sysid.noise import Noise, Series, estimate, extended
+from nsde_torch.sysid.noise import Series, estimate
 
 ONE = Series(((0, 6000),))
 
@@ -50,24 +50,6 @@ def test_the_limit_of_c_is_one_for_a_sensor_alone_and_falls_with_what_else_is_no
     # r = e' - e + w: autocovariances 2 s^2 + k^2 and -s^2 are those of a moving average with c + 1 / c = 2 + k^2 / s^2
     assert abs(loud + 1 / loud - 3.0) < 1e-9
     assert noise.carry_limit(1.0, 0.0, 0.0, 0.01) == 0.0
-
-
-def test_a_row_near_the_start_of_a_stretch_is_predicted_from_as_many_as_there_are() -> None:
-    rng = np.random.default_rng(3)
-    series = Series(((0, 60), (60, 64), (64, 130)))
-    values, reflection = rng.normal(size=(130, 2)), rng.uniform(-0.5, 0.5, 7)
-    longer = extended(series)
-    found = Noise(0.0, reflection, 1.0).whiten(values, series)
-    for (a, b), (first, _) in zip(series.edges, longer.edges, strict=True):
-        stretch = np.concatenate((np.zeros((1, 2)), values[a:b]))  # the error before it has a row of its own
-        for n in range(len(stretch)):
-            order = min(n, 7)
-            polynomial = np.ones(1)
-            for k in reflection[:order]:
-                polynomial = np.append(polynomial, 0.0) + k * np.append(0.0, polynomial[::-1])
-            expected = sum(polynomial[j] * stretch[n - j] for j in range(order + 1))
-            scale = np.sqrt(np.prod(1.0 - np.square(reflection[order:])))
-            np.testing.assert_allclose(found[first + n], scale * expected, atol=1e-12)
 
 
 def test_a_series_that_is_known_from_its_past_warns_of_nothing() -> None:

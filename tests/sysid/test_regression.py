@@ -1,6 +1,5 @@
 """Identification of whole systems: exact without noise, honest with it, and plain about what the data show."""
 
-import dataclasses
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -8,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from scipy.optimize import lsq_linear
 
 from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError, DataError
@@ -16,7 +14,6 @@ from nsde_torch.simulation import Making, simulated
 from nsde_torch.simulation.flights import START, Pilot, fly
 from nsde_torch.sysid.guard import Guarded, Objection
 from nsde_torch.sysid.identify import identify, identify_in_loop
-from nsde_torch.sysid.regression import bounded_step, shown
 from nsde_torch.sysid.result import Identification
 from nsde_torch.systems import MACHINES, System, make_plant_system, make_system
 from nsde_torch.systems.parameters import ParameterVector
@@ -116,9 +113,8 @@ def test_nothing_reaches_across_a_gap() -> None:
     both = Run("both", t, x, u, segments=((0, n), (n, n + len(other))))
     split = identify(declared("mass_spring_damper"), [both])
     np.testing.assert_allclose(split.values, truth("mass_spring_damper"), rtol=1e-6)
-    blind = identify(
-        declared("mass_spring_damper"), [dataclasses.replace(both, t=0.01 * np.arange(len(t)), segments=())]
-    )
+    unsplit = replace(both, t=0.01 * np.arange(len(t)), segments=())
+    blind = identify(declared("mass_spring_damper"), [unsplit])
     assert np.abs(blind.values - truth("mass_spring_damper")).max() > 0.01
 
 
@@ -147,9 +143,6 @@ def test_finite_differences_come_near_without_noise_and_have_no_law_of_noise(nam
 def test_options_that_cannot_be_are_refused(options: dict[str, Any], words: str) -> None:
     with pytest.raises(ConfigError, match=words):
         identify(make_system("mass_spring_damper"), runs_of("mass_spring_damper", 1.0), **options)
-
-
-def test_no_runs_are_refused() -> None:
     with pytest.raises(DataError, match="no run"):
         identify(make_system("mass_spring_damper"), [])
 
@@ -203,41 +196,3 @@ def test_no_interval_is_given_for_a_fit_that_the_guard_speaks_against(found: Ide
     assert told.warnings[0] == "it leaves more than was measured; look at it"
     assert "no interval is given" in summary(told)
     assert "rejected" in summary(told)
-
-
-# ---- steps ------------------------------------------------------------------------------------------------
-
-SIZES = np.array([1.0, 10.0, 0.1])
-
-
-def problem(seed: int) -> tuple[np.ndarray, np.ndarray]:
-    rng = np.random.default_rng(seed)
-    slopes = rng.normal(size=(200, 3)) * [3.0, 0.2, 40.0]
-    return slopes, slopes @ [1.0, 5.0, -0.2] + rng.normal(size=200)
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_with_active_bounds_it_is_the_minimum_within_them_and_not_the_clipped_one(seed: int) -> None:
-    slopes, residual = problem(seed)
-    slopes[:, 1] += slopes[:, 0]  # so that clipping alone would be wrong
-    low, high = np.array([-0.5, -3.0, -0.05]), np.array([0.5, 3.0, 0.05])
-    step = bounded_step(slopes, residual, shown(slopes, SIZES), low, high, SIZES)
-    assert ((step >= low) & (step <= high)).all()
-    best = lsq_linear(slopes, residual, bounds=(low, high), tol=1e-12).x
-    np.testing.assert_allclose(step, best, rtol=1e-5, atol=1e-7)
-
-
-def test_along_a_direction_that_is_not_shown_the_step_is_finite_and_within_the_bounds() -> None:
-    slopes, residual = problem(1)
-    slopes[:, 2] = 30.0 * slopes[:, 0]  # only x_0 + 30 x_2 is shown
-    found = shown(slopes, SIZES)
-    assert found.rank == 2
-    wide = 1e3 * SIZES
-    free = bounded_step(slopes, residual, found, -wide, wide, SIZES)
-    best = np.linalg.lstsq(slopes, residual, rcond=None)[0]  # that of least norm
-    np.testing.assert_allclose(slopes @ free, slopes @ best, atol=1e-8)
-    assert np.linalg.norm(free / SIZES) < 3 * np.linalg.norm(best / SIZES)
-    room = 0.1 * SIZES
-    step = bounded_step(slopes, residual, found, -room, room, SIZES)
-    assert (np.abs(step) <= room).all()
-    assert abs((found.lost[:, 0] / SIZES**2) @ step) < 0.1

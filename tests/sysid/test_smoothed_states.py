@@ -1,6 +1,7 @@
 """States that were smoothed: found and undone, on a machine that NumPy integrates and SciPy's filters."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import ConfigError
 from nsde_torch.sysid.identify import identify
 from nsde_torch.systems import make_system
+from tests.helpers.machines import simulated
 
 Array = NDArray[np.float64]
 Filter = Callable[[Array], Array]
@@ -55,6 +57,10 @@ def swings(
             x[:, list(columns)] = smooth(x[:, list(columns)])
         out.append(RawRun(name, DT * np.arange(n), x, u[:, None]))
     return out
+
+
+def spring(x: Array, u: Array) -> list[float]:
+    return [x[1], u[0] - STIFFNESS * x[0] - DAMPING * x[1]]
 
 
 def told(data: DataSet) -> list[dict[str, object]]:
@@ -122,22 +128,12 @@ def test_an_unknown_policy_is_refused() -> None:
 
 def coarse(*, noisy: bool) -> list[RawRun]:
     """A spring with an encoder of 4096 steps a turn: beside a noisy rate, or one without noise."""
-    rng = np.random.default_rng(2)
-    out = []
-    dt, n, sub, grain = 0.002, 8000, 2, 2.0 * np.pi / 4096.0
-    for name in ("a", "b", "c"):
+    rng, dt, grain, out = np.random.default_rng(2), 0.002, 2.0 * np.pi / 4096.0, []
+    for number in range(3):
         knots = np.cumsum(rng.uniform(0.8, 3.0, 30))
-        u = np.interp(dt * np.arange(n), knots, rng.uniform(-1.8, 1.8, 30))
-        x = np.zeros((n, 2))
-        q, v = 0.0, 0.0
-        for k in range(n):
-            x[k] = q, v
-            for _ in range(sub):
-                v += 0.001 * (u[k] - STIFFNESS * q - DAMPING * v)
-                q += 0.001 * v
-        x[:, 0] = grain * np.round(x[:, 0] / grain)
-        x[:, 1] += 0.01 * rng.standard_normal(n) if noisy else 0.0
-        out.append(RawRun(name, dt * np.arange(n), x, u[:, None]))
+        u = np.interp(dt * np.arange(8000), knots, rng.uniform(-1.8, 1.8, 30))[:, None]
+        run = simulated(number, spring, [0.0, 0.0], u, dt, noise=(0.0, 0.01 * noisy), rng=rng, fine=1)
+        out.append(replace(run, x=np.column_stack((grain * np.round(run.x[:, 0] / grain), run.x[:, 1]))))
     return out
 
 

@@ -10,6 +10,7 @@ import nsde_torch
 from nsde_torch.data.raw import RawRun
 from nsde_torch.systems import System, make_system
 from tests.helpers.log_writers import write_betaflight
+from tests.helpers.machines import Array, simulated
 from tests.helpers.system_contract import SystemContract
 
 GAINS = (120.0, 90.0, -12.0)
@@ -29,24 +30,16 @@ class TestBodyRates(SystemContract):
 
 
 def _flown(seed: int) -> RawRun:
-    """20 s at 100 Hz of rates under motor commands that know nothing of them, by small Euler steps."""
+    """20 s at 100 Hz of rates under motor commands that know nothing of them."""
     rng = np.random.default_rng(seed)
     signs = np.array([[-1.0, 1, 1, -1], [-1, 1, -1, 1], [-1, -1, 1, 1]])
-    w, rows, inputs = np.zeros(3), [], []
-    command = np.zeros(3)
-    for k in range(2000):
-        if k % 15 == 0:
-            command = rng.uniform(-0.02, 0.02, 3) * [1, 1, 4] - 0.002 * w
-        u = 0.4 + 0.25 * signs.T @ command
-        rows.append(w.copy())
-        inputs.append(u)
-        for _ in range(20):
-            turn = signs @ u * GAINS - 1.5 * w + np.array(COUPLING) * w[[1, 2, 0]] * w[[2, 0, 1]]
-            w = w + 5e-4 * turn
-    x = np.zeros((2000, 13))
-    x[:, 10:] = rows
-    x[:, 10:] += rng.normal(0.0, 0.01, (2000, 3))
-    return RawRun(f"run_{seed}", 0.01 * np.arange(2000), x, np.array(inputs))
+
+    def rates(w: Array, u: Array) -> Array:
+        return signs @ u * GAINS - 1.5 * w + np.array(COUPLING) * w[[1, 2, 0]] * w[[2, 0, 1]]
+
+    command = np.repeat(rng.uniform(-0.02, 0.02, (134, 3)) * [1, 1, 4], 15, axis=0)[:2000]
+    run = simulated(seed, rates, np.zeros(3), 0.4 + 0.25 * command @ signs, 0.01, noise=0.01, rng=rng)
+    return RawRun(run.name, 0.01 * np.arange(2000), np.pad(run.x, ((0, 0), (10, 0))), run.u)
 
 
 @pytest.mark.slow

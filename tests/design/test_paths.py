@@ -1,17 +1,12 @@
 """Inputs and paths of experiments: fine about rest, within their ranges, and no more than the cascade can fly."""
 
-import csv
-from pathlib import Path
-
 import numpy as np
 import pytest
 import torch
 
-from nsde_torch.control.shapes import from_csv
-from nsde_torch.design.experiment import write_plan
 from nsde_torch.design.limits import ExperimentLimits
 from nsde_torch.design.members import Rollouts
-from nsde_torch.design.paths import SIDE, UP, Paths, flown_paths, point_times
+from nsde_torch.design.paths import SIDE, UP, Paths, flown_paths
 from nsde_torch.systems import Multirotor, make_system
 
 DT = 0.02
@@ -37,20 +32,6 @@ def test_paths_start_where_the_experiment_begins_and_ask_for_no_more_than_they_m
     assert np.linalg.norm(table[..., 6:8], axis=-1).max() <= SIDE * 1.0001
     assert np.abs(table[..., 8]).max() <= UP * 1.0001
     assert np.linalg.norm(table[..., 6:8], axis=-1).max() > 0.9 * SIDE  # and some go as far as they may
-
-
-def test_a_written_plan_is_read_back_as_the_path_that_was_judged(paths: Paths, tmp_path: Path) -> None:
-    table = paths.inputs(paths.random(3, np.random.default_rng(1)))[2]
-    times = point_times(400 * DT)
-    at = np.minimum((times / DT).round().astype(int), 399)
-    rows = np.column_stack((times, table[at][:, [0, 1, 2, 9]]))
-    write_plan(tmp_path / "plan.csv", ("p_x", "p_y", "p_z", "yaw"), rows)
-    with (tmp_path / "plan.csv").open(encoding="utf-8") as file:
-        assert len(list(csv.DictReader(file))) == len(times)
-    read = from_csv(tmp_path / "plan.csv")
-    there = (DT / read.dt * np.arange(400)).round().astype(int)
-    np.testing.assert_allclose(read.p[there], table[:, :3], atol=2e-3)
-    np.testing.assert_allclose(read.v[there], table[:, 3:6], atol=2e-2)
 
 
 def test_the_cascade_flies_a_path(paths: Paths) -> None:

@@ -3,6 +3,7 @@
 Linear regressions with known noise stand for the fits of a diagnosis; every claim is held against many draws.
 """
 
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -47,76 +48,36 @@ def lasting(rng: np.random.Generator, rows: int, blocks: NDArray[np.int64], shar
     return np.asarray(share**0.5 * level[blocks] + (1 - share) ** 0.5 * rng.normal(size=rows))
 
 
-def scores(rng: np.random.Generator, count: int) -> tuple[Array, Array]:
-    """Orthonormal columns (N, q), and their information by block (B, q, q)."""
-    z = np.linalg.qr(rng.normal(size=(ROWS, count)))[0]
-    return z, np.stack([z[b == BLOCK].T @ z[b == BLOCK] for b in range(BLOCKS)])
-
-
-def by_block(z: Array, white: Array) -> Array:
-    """Scores of columns (N, q) by block (B, q)."""
-    return np.stack([z[b == BLOCK].T @ white[b == BLOCK] for b in range(BLOCKS)])
-
-
-def below(p: list[float], level: float) -> float:
-    return float(np.mean(np.array(p) < level))
-
-
-def slack(level: float, draws: int) -> float:
-    """What a rate may lie above its level by chance: three standard errors."""
-    return level + 3.0 * (level * (1 - level) / draws) ** 0.5
-
-
-# ---- p values under the null ------------------------------------------------------------------------------
-
-
-def null(seed: int, share: float) -> tuple[float, float, float]:
-    """p values of two columns that explain nothing: by the jackknife, by folds, together."""
+def drawn(seed: int, share: float, size: float = 0.0) -> tuple[Array, Array]:
+    """Scores by block (B, 2) of two orthonormal columns, the first of this size in the noise; their information."""
     rng = np.random.default_rng(seed)
-    z, grams = scores(rng, 2)
-    pulls = by_block(z, lasting(rng, ROWS, BLOCK, share))
-    return jackknife(pulls, grams), left_out(pulls, grams, FOLD), chance(pulls, grams, FOLD)
+    z = np.linalg.qr(rng.normal(size=(ROWS, 2)))[0]
+    white, parts = z[:, 0] * size + lasting(rng, ROWS, BLOCK, share), [z[b == BLOCK] for b in range(BLOCKS)]
+    return np.stack([p.T @ white[b == BLOCK] for b, p in enumerate(parts)]), np.stack(
+        [p.T @ p for p in parts]
+    )
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3], ids=["white", "lasting"])
-def test_no_p_value_is_below_a_level_more_often_than_that(share: float) -> None:
-    nulls = [list(column) for column in zip(*(null(s, share) for s in range(NULLS)), strict=True)]
-    for p in nulls:
-        for level in (0.01, 0.05, 0.2, 0.5):
-            assert below(p, level) <= slack(level, NULLS)
-    assert below(nulls[0], 0.5) > 0.4  # not by never finding anything
-
-
-def test_an_information_that_draws_tell_makes_no_chance_too_small() -> None:
-    p, draws = [], 40
-    for seed in range(400):
-        rng = np.random.default_rng(seed)
-        z, grams = scores(rng, 6)
-        # the information is that of draws, and scores are in its units
-        root = np.linalg.cholesky(np.cov(rng.normal(size=(draws, 6)).T, bias=True))
-        turn = np.linalg.inv(root)
-        pulls = by_block(z, rng.normal(size=ROWS)) @ turn.T
-        p.append(chance(pulls, turn @ grams @ turn.T, FOLD, draws))
-    for level in (0.01, 0.05, 0.1, 0.2):
-        assert below(p, level) <= slack(level, 400)
-
-
-# ---- power ------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    "test",
+    [jackknife, lambda *draw: left_out(*draw, FOLD), lambda *draw: chance(*draw, FOLD)],
+    ids=["jackknife", "folds", "together"],
+)
+def test_no_p_value_is_below_a_level_more_often_than_that(
+    test: Callable[[Array, Array], float], share: float
+) -> None:
+    p = np.array([test(*drawn(seed, share)) for seed in range(NULLS)])
+    for level in (0.01, 0.05, 0.2, 0.5):
+        assert (p < level).mean() <= level + 3.0 * (level * (1 - level) / NULLS) ** 0.5  # standard errors
 
 
 def test_an_alternative_is_found_as_often_as_the_noncentral_f_distribution_says() -> None:
-    alpha, size, found = 0.01, 4.0, []
-    for seed in range(400):
-        rng = np.random.default_rng(seed)
-        z, grams = scores(rng, 2)
-        found.append(jackknife(by_block(z, z[:, 0] * size + rng.normal(size=ROWS)), grams))
-    degrees = BLOCKS - 2
+    alpha, size, degrees = 0.01, 4.0, BLOCKS - 2
+    found = np.mean([jackknife(*drawn(seed, 0.0, size)) < alpha for seed in range(400)])
     expected = float(ncf.sf(ncf.isf(alpha, 2, degrees, 0.0), 2, degrees, size**2))
-    assert below(found, alpha) == pytest.approx(expected, abs=0.06)
-    assert below(found, alpha) > 0.75
-
-
-# ---- intervals --------------------------------------------------------------------------------------------
+    assert found == pytest.approx(expected, abs=0.06)
+    assert found > 0.75
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3])
@@ -131,9 +92,6 @@ def test_intervals_of_ninety_per_cent_hold_the_truth_that_often(share: float, co
         for e, value in zip(estimated(fit, fit.spread(), [0, 1]), truth, strict=True):
             held += cast(float, e.low) <= value <= cast(float, e.high)
     assert 0.87 <= held / 400 <= 0.95
-
-
-# ---- multiplicity -----------------------------------------------------------------------------------------
 
 
 def _selected(*errors: float, alone: float = np.inf) -> JointSelection:

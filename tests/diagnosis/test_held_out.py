@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from nsde_torch.diagnosis.cross_validation import HeldOut, Scored, one_step
-from nsde_torch.diagnosis.decision import _shared, judged_on_runs_left_out, sized
+from nsde_torch.diagnosis.decision import judged_on_runs_left_out, sized
 from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.joint_selection import Evidence
 from nsde_torch.diagnosis.outcome import Estimate, Found, Outcome
@@ -52,18 +52,6 @@ def test_a_residual_that_grows_on_one_channel_doubts_what_acts_there_though_it_e
     assert judged(1.4) == ["the residual of surge on runs left out is larger with the effects", ""]
     assert judged(1.02) == ["", ""], "as of right effects where a controller answers gusts"
     assert judged(1.4, inputs=False) == ["", ""]
-
-
-def test_three_terms_of_one_variable_with_a_law_among_them_may_share_a_law() -> None:
-    laws = ("force = c1 max(q - k1, 0)", "force = c1 q_dot abs(q)")
-    names = ("stop_above", "stop_below", "constant_force", *laws)
-    system = make_system(SPRING, effects=names)
-    found = [found_of(name, "q_dot") for name in names]
-    assert [bool(_shared(f, found, system)) for f in found] == [True, True, False, True, False]
-    few = [f for f in found if f.name != laws[0]]
-    assert not any(_shared(f, few, system) for f in few), "a spring between two stops"
-    elsewhere = [replace(found[0], moves=("theta_dot",)), *found[1:]]
-    assert not any(_shared(f, elsewhere, system) for f in elsewhere)
 
 
 def test_no_change_at_a_moment_is_sure_where_the_residual_depends_on_time() -> None:

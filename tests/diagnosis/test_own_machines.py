@@ -304,24 +304,21 @@ class Lift(System):
 @pytest.mark.slow
 def test_the_zero_of_a_gap_is_found_where_a_force_of_it_is_no_line() -> None:
     """Without it two laws, an inertia and a stop stood for 1.28 mm."""
-    rng, dt, bias = np.random.default_rng(5), 0.005, 0.0009
-    runs = []
+    rng, dt, bias, runs = np.random.default_rng(5), 0.005, 0.0009, []
+
+    def held_up(wanted: Array, seen: Array) -> Array:
+        lift = 9.81 + 900.0 * (seen[0] - wanted) + 45.0 * seen[1]
+        return np.sqrt(lift.clip(0.0) / 1.2e-3) * seen[0]
+
+    def rates(x: Array, u: Array) -> list[float]:
+        return [x[1], 9.81 - 1.2e-3 * (u[0] / x[0]) ** 2]
+
     for run in range(3):
         t, phases = dt * np.arange(1600), rng.uniform(0.0, 6.0, 3)
         waves = np.sin(2.0 * np.pi * rng.uniform(0.2, 1.5, (3, 1)) * t + phases[:, None])
-        noise = rng.normal(size=(len(t), 2)) * [2e-5, 2e-3]
-        z, v, rows = 0.012 + 0.0012 * waves[:, 0].sum(), 0.0, []
-        for wanted, wrong in zip(0.012 + 0.0012 * waves.sum(0), noise, strict=True):
-            seen = np.array([z, v]) + wrong
-            lift = max(9.81 + 900.0 * (seen[0] - wanted) + 45.0 * seen[1], 0.0)
-            current = (lift / 1.2e-3) ** 0.5 * seen[0]
-            rows.append((seen[0] + bias, seen[1], current))
-            for _ in range(10):  # leapfrog: no rule of the package
-                z += 0.05 * dt * v
-                v += 0.1 * dt * (9.81 - 1.2e-3 * (current / z) ** 2)
-                z += 0.05 * dt * v
-        log = np.array(rows)
-        runs.append(RawRun(f"run_{run}", t + 20.0 * run, log[:, :2], log[:, 2:]))
+        z = 0.012 + 0.0012 * waves.sum(0)[:, None]
+        made = simulated(run, rates, [z[0, 0], 0.0], z, dt, noise=(2e-5, 2e-3), control=held_up, rng=rng)
+        runs.append(replace(made, x=made.x + np.array([bias, 0.0])))
     found = nsde_torch.diagnose(runs, system=Lift, say=False)
     assert found.added == ["position_bias"]
     assert_interval(found.parameters, "position_bias.bias", bias, slack=1e-5, width=1e-4)

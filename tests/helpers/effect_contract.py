@@ -1,12 +1,12 @@
 """What holds for every effect. A test class of an effect inherits `EffectContract` and names it."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 
 import pytest
 import torch
 from torch import Tensor
 
-from nsde_torch.effects import EFFECTS, Effect, Parameter, Port, key_of
+from nsde_torch.effects import EFFECTS, Effect, Port, key_of
 from nsde_torch.effects.law import split_name
 from nsde_torch.systems import SYSTEMS, System, make_system, system_class
 
@@ -59,16 +59,6 @@ class EffectContract:
         cls = self.effect
         return len(system_class(self.system).input_names) + len(cls.exogenous) + sum(cls.quantities.values())
 
-    def width(self) -> int:
-        """Columns of the effect's port."""
-        s = self.machine()
-        of_states = dict.fromkeys((Port.RATE, Port.INERTIA, Port.POSITION), s.nx)
-        port = self.effect.port
-        return {Port.INPUT: s.nu, **of_states}.get(port) or s.ports[port]
-
-    def specs(self) -> Iterator[tuple[str, Parameter]]:
-        yield from self.effect.PARAMETERS.items()
-
     # ---- description ----------------------------------------------------------------------------------
 
     def test_it_says_what_it_is_and_where_it_comes_from(self) -> None:
@@ -84,8 +74,8 @@ class EffectContract:
 
     def test_every_parameter_has_a_unit_and_a_first_value_inside_its_bounds(self) -> None:
         declared = self.make().declared_parameters()
-        assert list(declared) == [name for name, _ in self.specs()]
-        for name, spec in self.specs():
+        assert list(declared) == list(self.effect.PARAMETERS)
+        for name, spec in self.effect.PARAMETERS.items():
             value, unit = declared[name]
             assert unit == spec.unit != ""
             assert spec.help
@@ -97,7 +87,7 @@ class EffectContract:
     @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
     def test_a_value_that_is_set_is_the_value_that_is_read(self, dtype: torch.dtype) -> None:
         effect = self.make().to(dtype)
-        for name, spec in self.specs():
+        for name, spec in self.effect.PARAMETERS.items():
             low = spec.low if spec.low is not None else -20.0
             high = spec.high if spec.high is not None else low + 40.0
             for share in (1e-3, 0.1, 0.5, 0.9, 0.999):
@@ -111,9 +101,9 @@ class EffectContract:
             optimiser = torch.optim.Adam(effect.raw.values(), lr=10.0)
             for _ in range(20 if effect.raw else 0):
                 optimiser.zero_grad()
-                (sign * sum(effect.value(name).sum() for name, _ in self.specs())).backward()
+                (sign * sum(effect.value(name).sum() for name in self.effect.PARAMETERS)).backward()
                 optimiser.step()
-            for name, spec in self.specs():
+            for name, spec in self.effect.PARAMETERS.items():
                 value = effect.value(name)
                 assert bool(torch.isfinite(value).all())
                 assert spec.low is None or bool((value >= spec.low).all())
@@ -124,7 +114,7 @@ class EffectContract:
         x, u, memory = self.rows(8)
         term, rate = effect(self.time, x, u, memory), effect.memory_rate(self.time, x, u, memory)
         (term.sum() + rate.sum()).backward()
-        for name, _ in self.specs():
+        for name in self.effect.PARAMETERS:
             gradient = effect.raw[name].grad
             assert bool(torch.isfinite(gradient).all())
             assert bool((gradient != 0).any())
@@ -175,7 +165,7 @@ class EffectContract:
         effect = self.make().to(dtype)
         x, u, memory = (v.to(dtype) for v in self.rows(5))
         term = effect(0.0, x, u, memory)
-        assert term.shape == (5, self.width())
+        assert term.shape == (5, self.machine().width_of(self.effect.port))
         assert term.dtype == dtype
         assert bool(torch.isfinite(term).all())
 
@@ -211,16 +201,12 @@ class EffectContract:
 
     # ---- memory ---------------------------------------------------------------------------------------
 
-    def test_it_carries_the_memory_that_it_states(self) -> None:
+    def test_it_carries_the_memory_that_it_states_which_starts_at_rest(self) -> None:
         effect = self.make()
         x, u, memory = self.rows(4)
         assert effect.n_memory == self.memory
         assert effect.memory_start(x, u).shape == (4, self.memory)
         assert effect.double().memory_rate(0.0, x, u, memory).shape == (4, self.memory)
-
-    def test_its_memory_starts_at_rest(self) -> None:
-        effect = self.make().double()
-        x, u, _ = self.rows(4)
         rate = effect.memory_rate(0.0, x, u, effect.memory_start(x, u))
         torch.testing.assert_close(rate, torch.zeros_like(rate))
 

@@ -17,24 +17,30 @@ def simulated(
     inputs: Array,
     dt: float,
     *,
-    noise: Sequence[float] | float = 0.0,
     rng: np.random.Generator,
+    noise: Sequence[float] | float = 0.0,
+    kick: Sequence[float] | float = 0.0,
+    control: Callable[[Array, Array], Sequence[float] | Array] = lambda wanted, seen: wanted,
     fine: int = 10,
 ) -> RawRun:
-    """A run of x' = rates(x, u) that logs rows `dt` [s] apart, `fine` steps each.
+    """A run of x' = rates(x, u) + kick dW that logs rows `dt` [s] apart, `fine` steps each.
 
-    Inputs (N, nu) are held over each row; sensors have white noise of these standard deviations.
+    Inputs (N, nu) are held over each row, or what `control` makes of a row of them and of what sensors see, whose white
+    noise has these standard deviations.
     """
-    x, y, h = np.empty((len(inputs), len(start))), np.array(start, dtype=np.float64), dt / fine
-    for k, u in enumerate(inputs):
-        x[k] = y
+    y, h = np.array(start, dtype=np.float64), dt / fine
+    x, kicks = np.empty((len(inputs), len(y))), np.array(kick) * np.sqrt(h)
+    u, errors = np.array(inputs, dtype=np.float64), noise * rng.standard_normal((len(inputs), len(y)))
+    for k, wanted in enumerate(inputs):
+        x[k] = y + errors[k]
+        u[k] = control(wanted, x[k])
         for _ in range(fine):
-            a = np.asarray(rates(y, u))
-            b = np.asarray(rates(y + 0.5 * h * a, u))
-            c = np.asarray(rates(y + 0.5 * h * b, u))
-            y = y + h / 6.0 * (a + 2.0 * b + 2.0 * c + np.asarray(rates(y + h * c, u)))
-    t = 1000.0 * number + dt * np.arange(len(x))
-    return RawRun(f"run_{number}", t, x + noise * rng.standard_normal(x.shape), inputs)
+            a = np.asarray(rates(y, u[k]))
+            b = np.asarray(rates(y + 0.5 * h * a, u[k]))
+            c = np.asarray(rates(y + 0.5 * h * b, u[k]))
+            y = y + h / 6.0 * (a + 2.0 * b + 2.0 * c + np.asarray(rates(y + h * c, u[k])))
+            y += kicks * rng.standard_normal(len(y)) if kicks.any() else 0.0
+    return RawRun(f"run_{number}", 1000.0 * number + dt * np.arange(len(x)), x, u)
 
 
 def held(rng: np.random.Generator, low: float, high: float, rows: int, *, each: int) -> Array:

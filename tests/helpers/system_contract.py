@@ -9,24 +9,17 @@ from torch import Tensor
 
 from nsde_torch.sde import STEPS, make_step, rollout
 from nsde_torch.systems import System
+from tests.helpers.sde_problems import Quiet
 
 
-class Ode:
+class Ode(Quiet):
     """A system without noise, as the solvers want it; memory rides along."""
 
-    calculus = "either"
-
     def __init__(self, system: System) -> None:
-        self.system = system
+        self.system, self.project = system, system.project  # type: ignore[method-assign]
 
     def drift(self, t: Any, z: Tensor, u: Tensor) -> Tensor:
         return self.system.drift(t, z, u)
-
-    def diffusion(self, t: Any, z: Tensor, u: Tensor) -> Tensor:
-        return torch.zeros_like(z)
-
-    def project(self, z: Tensor) -> Tensor:
-        return self.system.project(z)
 
 
 def solve(system: System, x0: Tensor, u: Tensor, dt: float) -> Tensor:
@@ -77,14 +70,11 @@ class SystemContract:
         assert all(group.unit and group.factor > 0 for group in s.error_groups)
         assert len({group.name for group in s.error_groups}) == len(s.error_groups)
 
-    def test_defaults_fit_the_system(self) -> None:
+    def test_defaults_fit_the_system_and_declared_parameters_have_units_and_finite_values(self) -> None:
         d = self.make().defaults
         assert len(d.sigma_max) == self.make().nx
-        assert min(d.sigma_max) > 0
-        assert min(d.dt, d.horizon, d.ball_radius, d.lambda_mu) > 0
+        assert min(*d.sigma_max, d.dt, d.horizon, d.ball_radius, d.lambda_mu) > 0
         assert d.step in STEPS
-
-    def test_declared_parameters_have_units_and_finite_values(self) -> None:
         for name, (value, unit) in self.make().all_declared().items():
             assert unit, name
             assert bool(torch.isfinite(value).all()), name
@@ -187,10 +177,9 @@ class SystemContract:
         torch.testing.assert_close(s.features(other), s.features(x))
         torch.testing.assert_close(s.residual_features(other), s.residual_features(x))
         a, b = (s.drift(0.0, s.augment(y, u), u) for y in (x, other))
-        if s.quaternion is not None:  # its rate turns its sign with it
-            keep = [k for k in range(s.nx) if not s.quaternion.start <= k < s.quaternion.stop]
-            a, b = a[:, keep], b[:, keep]
-        torch.testing.assert_close(a, b)
+        turns = range(s.nx)[s.quaternion or slice(0)]  # a quaternion's rate turns its sign with it
+        keep = [k for k in range(s.nx) if k not in turns]
+        torch.testing.assert_close(a[:, keep], b[:, keep])
 
     def test_the_start_of_a_rollout_holds_the_state_and_stationary_memory(self) -> None:
         s = self.make().double()

@@ -5,13 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from nsde_torch.data import Run
 from nsde_torch.inference import LogLikelihood, maximised
-from nsde_torch.inference.force_scores import DRAWS, FunctionScores
-from nsde_torch.inference.functions import Functions, learned, log_chance, seen_by_networks
+from nsde_torch.inference.functions import Functions, learned, seen_by_networks
 from nsde_torch.systems import make_system
 from nsde_torch.systems.parameters import ParameterVector
+from tests.helpers.machines import Array, held, simulated
 from tests.inference.springs import SENSOR, TRUTH, B, G, K, rubbing, run, small_runs, spring
 
 
@@ -46,45 +47,49 @@ def test_nothing_is_found_where_nothing_is_missing() -> None:
 
 
 def looped(
-    count: int, seconds: float, *, force: Callable[[float, float], float], lag: float, seed: int
-) -> list[Run]:
+    count: int, seconds: float, *, seed: int, force: Callable[[float, float], float] = lambda q, v: 0.0,
+    lag: float = 0.0,
+) -> list[Run]:  # fmt: skip
     """Springs that a controller holds by what it measures, sensor noise included."""
-    rng, dt, fine = np.random.default_rng(seed), 0.02, 10
-    out = []
+    rng, dt, out = np.random.default_rng(seed), 0.02, []
+
+    def rates(x: Array, u: Array) -> list[float]:
+        q, v, acting = x
+        acting, rise = (acting, (u[0] - acting) / lag) if lag else (u[0], 0.0)
+        return [v, TRUTH[G] * acting - TRUTH[K] * q - TRUTH[B] * v + u[1] + force(q, v), rise]
+
     for number in range(count):
-        n = round(seconds / dt) + 1
-        q, v, acting, rows, inputs = 0.3, 0.0, 0.0, np.empty((n, 2)), np.empty((n, 1))
-        aim, push = 0.0, 0.0
-        for k in range(n):
-            rows[k] = (q, v) + np.array(SENSOR) * rng.standard_normal(2)
-            if k % 40 == 0:
-                aim = rng.uniform(-0.5, 0.5)
-            inputs[k] = 6.0 * (aim - rows[k, 0]) - 2.0 * rows[k, 1]
-            push = np.exp(-dt / 0.4) * push + 0.05 * rng.standard_normal()
-            for _ in range(fine):
-                acting += (inputs[k, 0] - acting) * (min(dt / fine / lag, 1.0) if lag else 1.0)
-                pull = TRUTH[G] * acting - TRUTH[K] * q - TRUTH[B] * v + push + force(q, v)
-                v += dt / fine * pull
-                q += dt / fine * v
-        out.append(Run(f"run_{number}", 100.0 * number + dt * np.arange(n, dtype=np.float64), rows, inputs))
+        aim = held(rng, -0.5, 0.5, round(seconds / dt) + 1, each=40)
+        push = lfilter([0.05], [1.0, -np.exp(-dt / 0.4)], rng.standard_normal(aim.shape), axis=0)
+        run = simulated(
+            number,
+            rates,
+            [0.3, 0.0, 0.0],
+            np.hstack((aim, push)),
+            dt,
+            noise=(*SENSOR, 0.0),
+            control=lambda row, seen: [6.0 * (row[0] - seen[0]) - 2.0 * seen[1], row[1]],
+            rng=rng,
+        )
+        out.append(Run(run.name, run.t, run.x[:, :2], run.u[:, :1]))
     return out
 
 
 def test_what_a_controller_measured_is_no_function_of_the_state() -> None:
     """Forces at the end of a step would explain the sensor noise that the inputs of its end answer."""
     for seed in range(3):
-        assert found(looped(3, 10.0, force=lambda q, v: 0.0, lag=0.0, seed=seed)).groups == ()
+        assert found(looped(3, 10.0, seed=seed)).groups == ()
 
 
 def test_a_lag_in_a_loop_is_the_past_of_the_inputs_and_no_force() -> None:
-    out = found(looped(3, 10.0, force=lambda q, v: 0.0, lag=0.08, seed=1))
+    out = found(looped(3, 10.0, lag=0.08, seed=1))
     assert {g.kind for g in out.groups} == {"past"}
     assert not out.nats
     assert out.lost[0] > 20.0
 
 
 def test_a_product_of_two_variables_is_found_and_its_force_is_that_of_the_machine() -> None:
-    out = found(looped(4, 12.0, force=lambda q, v: -2.0 * q * v, lag=0.0, seed=2))
+    out = found(looped(4, 12.0, force=lambda q, v: -2.0 * q * v, seed=2))
     assert {g.variables for g in out.groups} == {("q", "q_dot")}
     before, after = out.blocks
     assert float((after - before).sum()) == pytest.approx(out.nats[0])
@@ -92,22 +97,6 @@ def test_a_product_of_two_variables_is_found_and_its_force_is_that_of_the_machin
     q, v = rng.uniform(-0.4, 0.4, 200), rng.uniform(-0.8, 0.8, 200)
     made, _ = out.force({"q": q, "q_dot": v}, 0)
     np.testing.assert_allclose(made, -2.0 * q * v, atol=0.05)
-
-
-@pytest.mark.parametrize("sizes", [(1.0,), (1.0, 1.0, 1.0), (3.0, 1.0, 0.1, 0.01), (1.0,) * 200])
-def test_chances_of_a_variance_are_right_where_weights_have_none(sizes: tuple[float, ...]) -> None:
-    """Scores of functions of any sizes, more of them than there are draws too."""
-    rng = np.random.default_rng(len(sizes))
-    turn = np.linalg.qr(rng.normal(size=(len(sizes), len(sizes))))[0] * np.array(sizes)
-    chances = []
-    for _ in range(400):
-        rows = rng.normal(size=(len(sizes), 1 + DRAWS))
-        scores = (turn @ rows)[None]
-        some = FunctionScores(scores[..., 0], scores[..., 1:], np.zeros(len(sizes)), DRAWS)
-        chances.append(np.exp(log_chance(some)))
-    for level in (0.05, 0.2, 0.5):
-        error = (level * (1.0 - level) / len(chances)) ** 0.5
-        assert np.mean(np.array(chances) < level) == pytest.approx(level, abs=4.0 * error + 0.15 * level)
 
 
 def test_a_law_that_one_run_alone_shows_is_found() -> None:

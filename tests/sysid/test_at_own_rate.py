@@ -8,23 +8,22 @@ import nsde_torch
 from nsde_torch.data import DataSet, RawRun
 from nsde_torch.recording import assemble
 from nsde_torch.systems import make_system
+from tests.helpers.machines import simulated
 
 SPRING = "mass_spring_damper"
 
 
 def logged(seed: int, *, hz: int, late: float = 0.0, sensor: tuple[float, float] = (2e-4, 2e-3)) -> RawRun:
     """A spring under random steps of its force, with a rate that is logged late."""
-    rng, dt, n = np.random.default_rng(seed), 1.0 / hz, 16 * hz
-    force = np.repeat(rng.normal(size=n // 50 + 8), 50)
-    x, y = np.empty((len(force), 2)), np.zeros(2)
-    for k, f in enumerate(force):
-        x[k], a = y, f - 16.0 * y[0] - 0.6 * y[1]
-        y = y + dt * np.array([y[1] + 0.5 * dt * a, a])
+    rng, n = np.random.default_rng(seed), 16 * hz
+    force = np.repeat(rng.normal(size=n // 50 + 8), 50)[:, None]
+    run = simulated(
+        seed, lambda x, u: [x[1], u[0] - 16.0 * x[0] - 0.6 * x[1]], [0.0, 0.0], force, 1 / hz, rng=rng, fine=1
+    )
+    run.x[:, 1] = np.interp(run.t - late, run.t, run.x[:, 1])
+    run.x += rng.normal(size=run.x.shape) * sensor
     rows = slice(200, 200 + n)
-    t = dt * np.arange(len(force))
-    x[:, 1] = np.interp(t - late, t, x[:, 1])
-    noise = rng.normal(size=(n, 2)) * sensor
-    return RawRun(f"run_{seed}", dt * np.arange(n), x[rows] + noise, force[rows, None])
+    return RawRun(run.name, run.t[rows], run.x[rows], run.u[rows])
 
 
 def kinds(data: DataSet) -> dict[str, str]:

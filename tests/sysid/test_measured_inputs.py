@@ -57,29 +57,29 @@ def test_noise_stays_where_the_log_is_kept_as_it_is() -> None:
 
 
 def driven(seed: int, *, lag_s: float = 0.0, noise: float = 0.0, gap: float = 0.0) -> list[RawRun]:
-    """A spring under a force of many waves, or steps behind an actuator, 20 s in steps of 1 ms, logged every 10 ms.
+    """A spring under a force of many waves, or steps behind an actuator, 20 s, logged every 10 ms.
 
     The force is held over 10 ms, but behind an actuator's lag. It is logged as it was at each row, with noise that does
     not move the spring. `gap` is that of play behind the logged force [N].
     """
-    rng = np.random.default_rng(seed)
-    out = []
-    for name in ("a", "b"):
-        n, x, logged = 2000, np.zeros((2000, 2)), np.zeros(2000)
-        t, waves = DT * np.arange(n), 2.0 * np.pi * rng.uniform(0.1, 2.0, 6)
+    rng, out, rows = np.random.default_rng(seed), [], 2000
+
+    def rates(x: Array, u: Array) -> list[float]:
+        force, rise = (x[2], (u[0] - x[2]) / lag_s) if lag_s else (u[0], 0.0)
+        return [*spring(x, np.array([force])), rise]
+
+    for number in range(2):
+        t, waves = DT * np.arange(rows), 2.0 * np.pi * rng.uniform(0.1, 2.0, 6)
         wanted = 0.4 * np.sin(np.outer(t, waves) + rng.uniform(0.0, 6.0, 6)).sum(1)
         if lag_s:
-            wanted = np.where(np.repeat(rng.integers(2, size=n // 20), 20) > 0, 0.6, -0.6)
-        q, v, force, moved = 0.3, 0.0, wanted[0], 0.0
-        for k in range(n):
-            force = force if lag_s else wanted[k]
-            x[k], logged[k] = (q, v), force
-            for _ in range(10):
-                force += 0.001 / lag_s * (wanted[k] - force) if lag_s else 0.0
-                moved = min(max(moved, force - 0.5 * gap), force + 0.5 * gap) if gap else force
-                q, v = q + 0.001 * v, v + 0.001 * (moved - STIFFNESS * q - DAMPING * v)
-        x += (0.0003, 0.001) * rng.standard_normal(x.shape)
-        out.append(RawRun(name, t, x, (logged + noise * rng.standard_normal(n))[:, None]))
+            wanted = np.where(np.repeat(rng.integers(2, size=rows // 20), 20) > 0, 0.6, -0.6)
+        moved = wanted.copy()
+        for k in range(1, rows):
+            moved[k] = min(max(moved[k - 1], wanted[k] - 0.5 * gap), wanted[k] + 0.5 * gap)
+        start, errors = [0.3, 0.0, wanted[0]], (0.0003, 0.001, 0.0)
+        run = simulated(number, rates, start, moved[:, None], DT, noise=errors, rng=rng)
+        logged = (run.x[:, 2] if lag_s else wanted) + noise * rng.standard_normal(rows)
+        out.append(replace(run, x=run.x[:, :2], u=logged[:, None]))
     return out
 
 

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.linalg import expm
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import butter, lfilter, sosfiltfilt
@@ -16,9 +15,8 @@ from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import ConfigError
 from nsde_torch.sysid.identify import identify
 from nsde_torch.systems import make_system
-from tests.helpers.machines import simulated
+from tests.helpers.machines import Array, simulated
 
-Array = NDArray[np.float64]
 Filter = Callable[[Array], Array]
 DT, STIFFNESS, DAMPING = 0.01, 4.0, 0.8
 SPRING = make_system("mass_spring_damper")
@@ -32,6 +30,10 @@ def mean_of_past(rows: int) -> Filter:
     return lambda x: np.asarray(lfilter(np.ones(rows) / rows, 1.0, x, axis=0))
 
 
+def spring(x: Array, u: Array) -> list[float]:
+    return [x[1], u[0] - STIFFNESS * x[0] - DAMPING * x[1]]
+
+
 def swings(
     seed: int,
     *,
@@ -39,28 +41,17 @@ def swings(
     smooth: Filter | None = None,
     columns: tuple[int, ...] = (0, 1),
 ) -> list[RawRun]:
-    """A spring pushed by a force that is new every row, in process noise: 40 s in steps of 1 ms, logged every 10 ms."""
-    rng = np.random.default_rng(seed)
-    out = []
-    for name in ("a", "b"):
-        n, sub = 4000, 10
-        u = 2.0 * np.sin(0.7 * DT * np.arange(n)) + rng.standard_normal(n)
-        x = np.zeros((n, 2))
-        q, v = 0.0, 0.0
-        for k in range(n):
-            x[k] = q, v
-            for _ in range(sub):
-                rate = u[k] - STIFFNESS * q - DAMPING * v
-                q, v = q + 0.001 * v, v + 0.001 * rate + 0.05 * 0.001**0.5 * rng.standard_normal()
-        x += noise * rng.standard_normal(x.shape)
+    """A spring pushed by a force that is new every row, in process noise: 40 s, logged every 10 ms."""
+    rng, out, which = np.random.default_rng(seed), [], list(columns)
+    for number in range(2):
+        u = 2.0 * np.sin(0.7 * DT * np.arange(4000)) + rng.standard_normal(4000)
+        run = simulated(
+            number, spring, [0.0, 0.0], u[:, None], DT, noise=noise, kick=(0.0, 0.05), rng=rng, fine=2
+        )
         if smooth is not None:
-            x[:, list(columns)] = smooth(x[:, list(columns)])
-        out.append(RawRun(name, DT * np.arange(n), x, u[:, None]))
+            run.x[:, which] = smooth(run.x[:, which])
+        out.append(run)
     return out
-
-
-def spring(x: Array, u: Array) -> list[float]:
-    return [x[1], u[0] - STIFFNESS * x[0] - DAMPING * x[1]]
 
 
 def told(data: DataSet) -> list[dict[str, object]]:

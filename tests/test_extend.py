@@ -16,7 +16,6 @@ import nsde_torch
 from nsde_torch.cli.commands.completion import query
 from nsde_torch.cli.main import main
 from nsde_torch.data import DataSet
-from nsde_torch.effects import Effect, Port
 from nsde_torch.errors import ConfigError
 from nsde_torch.models import Model
 from nsde_torch.sde import make_step, rollout
@@ -159,31 +158,6 @@ def test_an_effect_is_fitted_where_it_is_declared(held: Simulation, tmp_path: Pa
     loaded = nsde_torch.load(tmp_path)
     assert loaded.system.effect_names == ("viscous_friction", "coulomb_friction", "detent")
     assert repr(loaded.step) == "Ralston()"
-
-
-def test_a_system_has_ports_of_its_own() -> None:
-    rail: Any = type(make_system(RAIL))
-    tail = Port("tail_force")
-    assert tail is Port("tail_force")
-
-    class Tailed(System):
-        name, state_names, state_units = "tailed", rail.state_names, rail.state_units
-        input_names, input_units, defaults = rail.input_names, rail.input_units, rail.defaults
-        ports, residual_ports = {tail: 1}, {}
-
-        def dynamics(self, t: Any, x: Tensor, u: Tensor, forces: Any) -> Tensor:
-            return torch.cat((x[:, 1:], u - forces.get(tail, 0.0 * u)), 1)
-
-    class Drag(Effect):
-        name, port, formula, source = "tail_drag", tail, "v^2", "a test"
-
-        def forward(self, t: Any, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-            return x[:, 1:] ** 2
-
-    rate = Tailed([Drag()]).drift(0.0, torch.tensor([[0.0, 3.0]]), torch.tensor([[1.0]]))
-    torch.testing.assert_close(rate, torch.tensor([[3.0, 1.0 - 9.0]]))
-    assert Drag.fits("tailed", Tailed.ports)
-    assert not Drag.fits("rail", rail.ports)
 
 
 # ---- a kind of model -------------------------------------------------------------------------------------------------

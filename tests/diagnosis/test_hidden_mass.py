@@ -1,10 +1,11 @@
-"""What swings and is not in the log, on a machine or between its command and it, has its name and its sizes."""
+"""A second mass that is not in the log, behind the noise of the sensors, has its sizes.
+
+A servo that swings: test_own_machines.py.
+"""
 
 from dataclasses import replace
 
 import numpy as np
-import pytest
-from scipy.linalg import expm
 
 import nsde_torch
 from nsde_torch.data.raw import RawRun
@@ -43,39 +44,3 @@ def test_noise_of_the_sensors_does_not_bias_a_hidden_mass_that_forces_hardly_mov
     expected = np.array([*values.values(), *true.values()])
     assert np.all(np.abs(found.theta - expected) < 3.0 * found.standard_errors)
     assert found.standard_errors[3] < 0.02
-
-
-def behind_a_servo(seed: int, hertz: float, ratio: float) -> list[RawRun]:
-    """Runs of a spring (4 1/s2, damping 0.5 1/s) whose command is followed in second order, from rest at 0; exact."""
-    rng, out, w = np.random.default_rng(seed), list[RawRun](), 2.0 * np.pi * hertz
-    t = DT * np.arange(750)
-    rates = np.zeros((5, 5))  # of q, q', what acts, its rate and the command
-    rates[0, 1] = rates[2, 3] = 1.0
-    rates[1, :3], rates[3, 2:] = [-4.0, -0.5, 1.0], [-w * w, -2.0 * ratio * w, w * w]
-    over = expm(DT * rates)[:4]
-    for r in range(2):
-        size, waves = rng.uniform(0.5, 2.0, 5), np.exp(rng.uniform(-2.3, 1.4, 5))
-        u = np.sin(2.0 * np.pi * waves * t[:, None] + rng.uniform(0.0, 6.3, 5)) @ size
-        z, x = np.array([*rng.uniform(-0.3, 0.3, 2), 0.0, 0.0]), np.empty((len(t), 2))
-        for k, command in enumerate(u):
-            x[k] = z[:2]
-            z = over @ np.append(z, command)
-        out.append(
-            RawRun(f"run_{r}", t + 20.0 * r, x + rng.normal(size=x.shape) * [0.001, 0.003], u[:, None])
-        )
-    return out
-
-
-# of the slow one the fit without it takes the input for nothing
-@pytest.mark.parametrize(("hertz", "ratio"), [pytest.param(3.0, 0.3, marks=pytest.mark.slow), (1.5, 0.1)])
-def test_a_servo_that_swings_is_found_alone(hertz: float, ratio: float) -> None:
-    found = nsde_torch.diagnose(behind_a_servo(9, hertz, ratio), system="mass_spring_damper", say=False)
-    assert (found.added, [f["lead"] for f in found.content()["findings"]]) == (
-        ["actuator_resonance"],
-        [False],
-    )
-    parameters = found.content()["parameters"]
-    for key, true in (("period", 1.0 / hertz), ("damping", ratio)):
-        value = parameters[f"actuator_resonance.{key}"]
-        low, high = value["interval_90"]
-        assert abs(value["value"] - true) < 1.5 * (high - low) < 0.03 * true

@@ -7,7 +7,6 @@ import pytest
 from scipy.signal import butter, sosfiltfilt
 
 from nsde_torch.data import Run
-from nsde_torch.diagnosis.candidates import effect_of, simplified
 from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.joint_selection import JointSearch, JointSelection
 from nsde_torch.diagnosis.search import Search
@@ -103,13 +102,3 @@ def test_a_steady_push_is_no_gust_that_never_ends() -> None:
     first = found.rounds[0].look[0]
     assert first.name == "constant_force"
     assert first.nats > 10.0  # 1.2 beside a gust of 81 s
-
-
-def test_a_simpler_effect_starts_at_the_values_that_it_shares() -> None:
-    values = {"rising": 0.08, "falling": 0.08}
-    system = make_system("cartpole").with_effects(
-        make_system("cartpole").make_effect("asymmetric_lag", values)
-    )
-    plain = simplified(system, "asymmetric_lag", "actuator_lag")
-    assert "asymmetric_lag" not in plain.effect_names
-    assert effect_of(plain, "actuator_lag").value("time_constant").item() == pytest.approx(0.08)

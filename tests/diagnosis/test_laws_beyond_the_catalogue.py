@@ -18,7 +18,7 @@ from nsde_torch.diagnosis.result import looks_like
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.effects.expression_grammar import parse
 from nsde_torch.simulation import simulate
-from nsde_torch.systems import System, make_system
+from nsde_torch.systems import make_system
 from nsde_torch.systems.options import system_options
 from tests.helpers.diagnosed import assert_interval, diagnosed, recorded
 from tests.helpers.machines import Array, simulated
@@ -218,23 +218,14 @@ def test_behind_a_smoother_no_law_is_tried() -> None:
     assert not [name for name in found.content()["added"] if "=" in name]
 
 
-SPRING = "mass_spring_damper"
+def test_no_spring_is_sought_beside_a_spring_and_nothing_beside_what_contains_it() -> None:
+    def sought(*effects: str) -> set[str]:
+        return {*candidate_names(make_system("mass_spring_damper", effects=effects))}
 
-
-def spring(*effects: str) -> System:
-    return make_system(SPRING, effects=effects)
-
-
-def test_a_spring_is_sought_where_none_is_declared() -> None:
     assert "linear_spring[cart]" in candidate_names(make_system("cartpole"))
-    assert not [n for n in candidate_names(spring()) if n.startswith("linear_spring")]
-
-
-def test_what_an_effect_contains_is_not_tried_beside_it() -> None:
-    assert "coulomb_friction" in candidate_names(spring())
-    assert "coulomb_friction" not in candidate_names(spring("asymmetric_friction"))
-    assert "coulomb_friction" not in candidate_names(spring("stribeck_friction"))
-    assert "asymmetric_friction" in candidate_names(spring("coulomb_friction"))
+    assert "linear_spring" not in sought()
+    assert "coulomb_friction" in sought() - sought("asymmetric_friction") - sought("stribeck_friction")
+    assert "asymmetric_friction" in sought("coulomb_friction")
 
 
 @pytest.mark.parametrize(

@@ -7,9 +7,9 @@ from nsde_torch.diagnosis.residual_tests import Dependence, dependences, in_one_
 from tests.helpers.residuals import MadeResiduals, Push, made_residuals
 
 
-def found(push: Push | None, runs: int, seed: int = 0, *, loud: float = 1.0) -> Dependence | None:
-    """The test of one run on the speed, of white innovations and a push; the last run may be louder."""
-    left = made_residuals(runs).made(push, seed, loud=loud)
+def found(push: Push | None, runs: int, seed: int = 0) -> Dependence | None:
+    """The test of one run on the speed, of white innovations and a push."""
+    left = made_residuals(runs).made(push, seed)
     functions, odd = left.functions["q_dot"]()
     return in_one_run(left, 0, "q_dot", functions, odd)
 

@@ -49,7 +49,7 @@ class MadeResiduals:
         self.regression: Regression = self.search.at(self.place)
         self.measured: Measured = measured(self.regression, inputs=True)
 
-    def made(self, push: Push | None = None, seed: int | None = 0, *, loud: float = 1.0) -> PhysicsResiduals:
+    def made(self, push: Push | None = None, seed: int | None = 0) -> PhysicsResiduals:
         """What is left, with a push; without a seed the innovations are those of the data."""
         at = self.place.at
         space, about, here = at.of.space, at.about, at.at
@@ -57,7 +57,6 @@ class MadeResiduals:
         if seed is not None:
             white = torch.from_numpy(np.random.default_rng([seed, 7]).normal(size=tuple(white.shape)))
         run = np.array(space.steps.runs)[space.chunks.stretch.numpy()]
-        white[:, run == run.max()] *= loud
         if push is not None:
             white += self._moved(push, here, run)
         drawn = Optimum(with_own_pass(at.of), at.levels, about, replace(here, white=white), at.free)

@@ -75,7 +75,7 @@ def density(residual: Array, covariance: Array) -> float:
 def test_it_is_that_of_the_joint_gaussian_of_all_rows_after_the_first_of_any_number_of_runs(
     count: int,
 ) -> None:
-    runs, expected = linear_runs(count, 3.2 / count), 0.0
+    runs, expected = linear_runs(count, 1.6), 0.0
     for run in runs:
         variance = np.array([SENSOR[0] ** 2, SENSOR[1] ** 2, GUST**2])
         expected += density(*joint(run, [0, 1], run.x[0], variance, 0))

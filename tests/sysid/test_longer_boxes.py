@@ -99,25 +99,15 @@ def system() -> System:
     return make_system("mass_spring_damper", effects=["coulomb_friction"])
 
 
-@pytest.fixture(scope="module")
-def data(system: System) -> DataSet:
-    return assemble(sticking_runs(SIZE), system, kind="test")
-
-
-def _off_all(found: Identification) -> np.ndarray:
-    """Distance from the truth in half-widths of 90 % intervals."""
-    at = [found.vector.labels.index(name) for name in TRUTH]
-    return np.abs(found.values[at] - list(TRUTH.values())) / found.half_widths(0.9)[at]
-
-
 @pytest.mark.slow
 def test_physics_of_a_machine_that_sticks_is_right_where_it_moves(
-    system: System, data: DataSet, monkeypatch: pytest.MonkeyPatch
+    system: System, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    data, true = assemble(sticking_runs(SIZE), system, kind="test"), list(TRUTH.values())
     found = identify_in_loop(system, data.runs)
-    assert (_off_all(found) < 1.5).all()
     at = [found.vector.labels.index(name) for name in TRUTH]
-    assert found.values[at] == pytest.approx(list(TRUTH.values()), rel=0.03)
+    assert (np.abs(found.values[at] - true) < 1.5 * found.half_widths(0.9)[at]).all()
+    assert found.values[at] == pytest.approx(true, rel=0.03)
     assert found.as_dict()["standing_share"] == pytest.approx(found.standstill)
     assert f"{found.standstill:.0%} of the rows were left out" in found.notes[0]
     monkeypatch.setattr(identify, "SHARE", 2.0)

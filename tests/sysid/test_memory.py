@@ -12,8 +12,7 @@ from nsde_torch.inference.steps import Steps, memory_along, steps_of
 from nsde_torch.systems import System, make_system
 
 DT, TAU = 0.01, 0.05
-TIMES = {"input_delay": "delay", "actuator_deadband": "width"}
-TIMES |= dict.fromkeys(("motor_lag", "actuator_lag"), "time_constant")
+TIMES = {"input_delay": "delay", "motor_lag": "time_constant", "actuator_lag": "time_constant"}
 
 
 def made(machine: str, *effects: Any, **values: float) -> System:
@@ -28,20 +27,12 @@ def along(system: System, run: Run) -> tuple[Steps, torch.Tensor, torch.Tensor]:
     return steps, *memory_along(system, steps)
 
 
-def run_with_gap() -> Run:
-    rng = np.random.default_rng(0)
-    n = 700
-    x = np.zeros((n, 13))
-    x[:, 6] = 1.0
-    x[:, 0] = 0.01 * np.arange(n)  # a log in which nothing moves is refused
-    t = DT * np.arange(n)
-    t[300:] += 3.0
-    u = 0.4 + 0.1 * rng.normal(size=(n, 6))
-    return Run("r", t, x, u, segments=((0, 300), (300, n)))
-
-
 def test_it_is_the_exact_mean_response_of_each_segment_from_rest_at_its_first_input() -> None:
-    run = run_with_gap()
+    rng, n, t = np.random.default_rng(0), 700, DT * np.arange(700)
+    x = np.zeros((n, 13))
+    x[:, 6], x[:, 0] = 1.0, t  # a log in which nothing moves is refused
+    t[300:] += 3.0
+    run = Run("r", t, x, 0.4 + 0.1 * rng.normal(size=(n, 6)), segments=((0, 300), (300, n)))
     _, before, after = along(made("hexacopter", "motor_lag", motor_lag=TAU), run)
     fade = np.exp(-DT / TAU)
     expected = []

@@ -1,10 +1,10 @@
 """Sensors that do not show what the inputs do: a machine that NumPy integrates, SciPy's filters, no noise to see."""
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import butter, sosfiltfilt
 
@@ -13,8 +13,8 @@ from nsde_torch.data.raw import RawRun
 from nsde_torch.sysid.identify import identify
 from nsde_torch.sysid.response_ends import ends_of_response
 from nsde_torch.systems import make_system
-from tests.helpers.machines import Array, simulated
 
+Array = NDArray[np.float64]
 DT, STIFFNESS, DAMPING = 0.005, 6.0, 0.6
 SPRING = make_system("mass_spring_damper")
 
@@ -33,33 +33,28 @@ def pushed(
     noise: float = 0.0,
     loop: float = 0.0,
 ) -> list[RawRun]:
-    """A spring under a force with a spectrum that falls, 30 s logged every 5 ms.
+    """A spring under a force with a spectrum that falls, 60 s in steps of 1 ms, logged every 5 ms.
 
     The force is logged with white noise, acts with a lag [s] and a delay (rows), and answers the noisy states (`loop`).
     """
-    rng, out, rows = np.random.default_rng(seed), [], 6000
-
-    def rates(x: Array, u: Array) -> list[float]:
-        acts, rise = (x[2], (u[0] - x[2]) / lag) if lag else (u[0], 0.0)
-        return [x[1], acts - STIFFNESS * x[0] - DAMPING * x[1], rise]
-
-    for number in range(2):
-        wanted = 40.0 * gaussian_filter1d(rng.standard_normal(rows), 4.0)[:, None]
-        late = np.concatenate((np.repeat(wanted[:1], delay, axis=0), wanted[: rows - delay]))
-        run = simulated(
-            number,
-            rates,
-            np.zeros(3),
-            late,
-            DT,
-            noise=(noise, noise, 0.0),
-            kick=(0.0, 0.1, 0.0),
-            control=lambda wanted, seen: wanted - loop * seen[:2] @ [4.0, 1.5],
-            rng=rng,
-            fine=2,
-        )
-        logged = (run.u if loop else wanted) + input_noise * rng.standard_normal(wanted.shape)
-        out.append(replace(run, x=states(run.x[:, :2]), u=logged))
+    rng = np.random.default_rng(seed)
+    out = []
+    for name in ("a", "b"):
+        n, sub = 6000, 5
+        wanted = 40.0 * gaussian_filter1d(rng.standard_normal(n), 4.0)
+        x, u = np.zeros((n, 2)), np.zeros(n)
+        q, v, acts = 0.0, 0.0, 0.0
+        error = noise * rng.standard_normal((n, 2))
+        for k in range(n):
+            x[k] = q, v
+            u[k] = wanted[k] - loop * float((x[k] + error[k]) @ [4.0, 1.5])
+            for _ in range(sub):
+                goal = u[max(k - delay, 0)]
+                acts = goal if not lag else acts + (goal - acts) * 0.001 / lag
+                q, v = q + 0.001 * v, v + 0.001 * (acts - STIFFNESS * q - DAMPING * v)
+                v += 0.1 * 0.001**0.5 * rng.standard_normal()
+        logged = u + input_noise * rng.standard_normal(n)
+        out.append(RawRun(name, DT * np.arange(n), states(x + error), logged[:, None]))
     return out
 
 

@@ -16,7 +16,7 @@ from nsde_torch.data.raw import RawRun
 from nsde_torch.diagnosis.stages import MOVING_ROWS
 from nsde_torch.diagnosis.text import lines
 from nsde_torch.errors import ConfigError
-from tests.helpers.machines import Array, simulated
+from tests.helpers.own_machines import STEP, pushed_spring
 
 HOME, SPRING = "double_pendulum:DoublePendulum", "mass_spring_damper"
 
@@ -81,25 +81,6 @@ def test_a_reader_takes_out_what_one_run_reads_too_much() -> None:
     said = r"`sensor_bias` names 'run_9', which is no run; runs are run_0, run_1"
     with pytest.raises(ConfigError, match=said):
         nsde_torch.read(made, system=SPRING, sensor_bias={"run_9": {"q": 0.12}})
-
-
-STEP = 0.01
-
-
-def pushed_spring(seed: int, seconds: float, push: Any) -> RawRun:
-    """A spring that is pushed by u and `push(t, v, u, q)` [m/s2]."""
-    rng = np.random.default_rng(seed)
-    t = STEP * np.arange(round(seconds / STEP) + 1)
-    f, phase = rng.uniform(0.1, 1.6, (4, 1)), rng.uniform(0.0, 2.0 * np.pi, (4, 1))
-    u = 1.2 * np.sin(2.0 * np.pi * f * t + phase).sum(0)
-
-    def rates(x: Array, u: Array) -> list[float]:
-        (q, v), (force, now) = x, u
-        return [v, force - 4.0 * q - 0.5 * v + push(now, v, force, q)]
-
-    how = {"noise": (0.002, 0.01), "kick": (0.0, 0.0016), "rng": rng, "fine": 2}
-    run = simulated(seed, rates, [0.2, 0.0], np.column_stack((u, t)), STEP, **how)
-    return RawRun(run.name, t, run.x, u[:, None])
 
 
 FEW = ("coulomb_friction", "quadratic_damping", "actuator_gain_drift", "constant_force")
@@ -168,6 +149,7 @@ def test_what_is_no_candidate_differs_in_no_run() -> None:
     content = diagnosed(runs, candidates=("coulomb_friction",))
     assert "run_force" not in content["added"]
     assert content["verdict"] == "unexplained"
+    assert content["unexplained"][0]["sentence"] == "The rate of q_dot is off by a constant, in run_1 only."
 
 
 def test_one_run_is_not_held_against_others() -> None:

@@ -1,43 +1,57 @@
-"""What is there in one run only is told as that, and never where every run has it or none."""
+"""What is left of a spring is told by its shape, its place, its moment and its run, where nothing may be added."""
+
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
 
-from nsde_torch.diagnosis.residual_tests import Dependence, dependences, in_one_run
-from tests.helpers.residuals import MadeResiduals, Push, made_residuals
+import nsde_torch
+from tests.helpers.own_machines import pushed_spring
+
+Push = Callable[[float, float, float, int], float]
+"""Of position, speed, time and number of the run [m/s2]."""
 
 
-def found(push: Push | None, runs: int, seed: int = 0) -> Dependence | None:
-    """The test of one run on the speed, of white innovations and a push."""
-    left = made_residuals(runs).made(push, seed)
-    functions, odd = left.functions["q_dot"]()
-    return in_one_run(left, 0, "q_dot", functions, odd)
+def left_of(push: Push, runs: int = 4, **options: Any) -> tuple[dict[str, Any], str]:
+    """What depends most of all, and its sentence."""
+    made = [pushed_spring(r, 10.0, lambda t, v, u, q, r=r: push(q, v, t, r)) for r in range(runs)]
+    found = nsde_torch.diagnose(made, system="mass_spring_damper", say=False, **options).content()
+    sentences = [one["sentence"] for one in found["unexplained"]]
+    return found["structure"]["after"][0], sentences[0] if sentences else ""
 
 
-@pytest.mark.parametrize("runs", [3, 6])
-def test_the_run_is_named_that_a_friction_acts_in(runs: int) -> None:
-    this = found(lambda q, v, t, run: np.where(run == 1, -0.03 * np.sign(v), 0.0), runs)
-    assert this.run == 1
-    assert this.p < 1e-3
+def case(name: str, push: Push, variable: str, where: str | None, words: str, *, slow: bool = True) -> Any:
+    return pytest.param(push, variable, where, words, id=name, marks=[pytest.mark.slow] if slow else [])
 
 
-def test_a_friction_in_all_runs_or_in_two_of_them_is_in_no_run_only() -> None:
-    for where in ({0, 1, 2, 3, 4, 5}, {1, 4}):
-        own = list(where)
-        this = found(lambda q, v, t, run, own=own: np.where(np.isin(run, own), -0.01 * np.sign(v), 0.0), 6)  # type: ignore[misc]
-        assert this.p > 1e-4  # of a hundred tests that is nothing
+@pytest.mark.parametrize(
+    ("push", "variable", "where", "words"),
+    [
+        case("odd", lambda q, v, t, run: -6.0 * q**3, "q", None, "over its whole range, as an odd function"),
+        case("even", lambda q, v, t, run: 0.8 * q**2, "q", None, "as an even function"),
+        case("bump", lambda q, v, t, run: 0.6 * np.exp(-(((q - 0.2) / 0.05) ** 2)), "q", None,
+             "locally, between 0.1"),
+        case("teeth", lambda q, v, t, run: 0.5 * np.sin(2.0 * np.pi * q / 0.17), "q", None,
+             "periodically, every 0.171 m", slow=False),
+        case("drag", lambda q, v, t, run: -0.4 * v * abs(v), "q_dot", None, "as an odd function"),
+        case("swing", lambda q, v, t, run: 0.5 * np.sin(8.0 * np.pi * t + 2.0 * run), "time", "4.004 Hz",
+             "in a swing of 4.004 Hz whose phase differs from run to run"),
+        case("push", lambda q, v, t, run: 0.6 * np.exp(-(((t - 4.0) / 0.1) ** 2)) * (run == 1), "time", "run_1, 3.9 s",
+             "at one moment, run_1 at 3.9 s", slow=False),
+    ],
+)  # fmt: skip
+def test_what_is_left_is_called_what_it_is(push: Push, variable: str, where: str | None, words: str) -> None:
+    first, sentence = left_of(push, max_effects=0)
+    assert (first["variable"], first["where"]) == (variable, where)
+    assert first["p"] < 1e-4
+    assert words in sentence
 
 
-def test_a_line_for_each_run_does_not_hide_a_friction_in_one() -> None:
-    left = MadeResiduals((10.0,) * 8).made(lambda q, v, t, run: np.where(run == 2, -0.02 * np.sign(v), 0.0))
-    tests = dependences(left)
-    best = {d.variable: d for d in tests if d.everywhere}
-    (this,) = (d for d in tests if d.variable == "q_dot" and d.run is not None and d.moment is None)
-    # eight slopes of the speed, which say nothing of friction
-    assert best["q_dot by run"].excess > this.excess
-    assert this.run == 2
-    assert this.p < 1e-3
-
-
-def test_of_two_runs_nobody_knows_which_is_the_odd_one() -> None:
-    assert found(lambda q, v, t, run: np.where(run == 1, -0.1 * v, 0.0), 2) is None
+@pytest.mark.parametrize("acts", [{1}, {0, 1, 2, 3}], ids=["in one run", "in all"])
+def test_a_friction_is_in_the_run_that_it_acts_in(acts: set[int]) -> None:
+    # a line for each run, which says nothing of friction, does not hide one
+    few = {"candidates": ["cubic_stiffness"]}
+    first, _ = left_of(lambda q, v, t, run: -0.3 * np.tanh(v / 0.01) * (run in acts), **few)
+    assert (first["variable"], first["where"]) == ("q_dot", "run_1 only" if len(acts) == 1 else None)
+    assert first["p"] < 1e-3

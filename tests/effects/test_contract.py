@@ -9,7 +9,7 @@ from nsde_torch.systems import system_class
 from tests.helpers.effect_contract import EffectContract, contract
 from tests.helpers.two_joints import HOME
 
-ROOM, BOAT = "tests.diagnosis.test_stores:Room", "tests.diagnosis.test_places:Boat"
+ROOM, BOAT = "tests.helpers.own_machines:Room", "tests.helpers.own_machines:Ship"
 MACHINES = ("mass_spring_damper", HOME, "cartpole", "hexacopter", ROOM, BOAT)
 PLACES = {
     HOME: (

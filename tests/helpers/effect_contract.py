@@ -201,12 +201,16 @@ class EffectContract:
 
     # ---- memory ---------------------------------------------------------------------------------------
 
-    def test_it_carries_the_memory_that_it_states_which_starts_at_rest(self) -> None:
+    def test_it_carries_the_memory_that_it_states(self) -> None:
         effect = self.make()
         x, u, memory = self.rows(4)
         assert effect.n_memory == self.memory
         assert effect.memory_start(x, u).shape == (4, self.memory)
         assert effect.double().memory_rate(0.0, x, u, memory).shape == (4, self.memory)
+
+    def test_its_memory_starts_at_rest(self) -> None:
+        effect = self.make().double()
+        x, u, _ = self.rows(4)
         rate = effect.memory_rate(0.0, x, u, effect.memory_start(x, u))
         torch.testing.assert_close(rate, torch.zeros_like(rate))
 

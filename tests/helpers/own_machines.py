@@ -3,6 +3,7 @@ the package."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -244,6 +245,25 @@ def warmed(
         run = simulated(number, rates, [5.0, wall], heater, 1.0, noise=(0.02, 0.0), rng=rng, fine=2)
         out.append(replace(run, x=run.x[:, :1]))
     return out
+
+
+STEP = 0.01
+
+
+def pushed_spring(seed: int, seconds: float, push: Any) -> RawRun:
+    """A spring that is pushed by u and `push(t, v, u, q)` [m/s2]."""
+    rng = np.random.default_rng(seed)
+    t = STEP * np.arange(round(seconds / STEP) + 1)
+    f, phase = rng.uniform(0.1, 1.6, (4, 1)), rng.uniform(0.0, 2.0 * np.pi, (4, 1))
+    u = 1.2 * np.sin(2.0 * np.pi * f * t + phase).sum(0)
+
+    def rates(x: Array, u: Array) -> list[float]:
+        (q, v), (force, now) = x, u
+        return [v, force - 4.0 * q - 0.5 * v + push(now, v, force, q)]
+
+    how = {"noise": (0.002, 0.01), "kick": (0.0, 0.0016), "rng": rng, "fine": 2}
+    run = simulated(seed, rates, [0.2, 0.0], np.column_stack((u, t)), STEP, **how)
+    return RawRun(run.name, t, run.x, u[:, None])
 
 
 def behind_a_servo(hertz: float, ratio: float) -> list[RawRun]:

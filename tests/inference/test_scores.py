@@ -1,5 +1,6 @@
 """Scores of parameters, noise levels and forces against differences of the likelihood itself."""
 
+import copy
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +15,7 @@ from nsde_torch.inference import (
     Optimum,
     nearly_maximised,
 )
+from nsde_torch.inference.estimate import Latest
 from nsde_torch.inference.filtering import Linearisation, Pass, filtered, with_gains
 from nsde_torch.inference.force_scores import force_scores
 from nsde_torch.inference.levels import Levels
@@ -21,7 +23,6 @@ from nsde_torch.inference.maximum import level_slopes, score
 from nsde_torch.inference.sensitivity import grams
 from nsde_torch.systems import make_system
 from tests.helpers.diagnosed import recorded
-from tests.helpers.residuals import with_own_pass
 from tests.inference.springs import levels_of, linear_runs, spring
 
 Array = NDArray[np.float64]
@@ -55,7 +56,9 @@ def fitted(request: pytest.FixtureRequest) -> Fitted:
 def test_the_score_of_a_force_is_the_slope_of_the_log_likelihood(fitted: Fitted) -> None:
     best, at = fitted
     alone = np.zeros(0, dtype=np.int64)  # no parameters beside them
-    found = force_scores(Optimum(with_own_pass(at.of), at.levels, at.about, at.at, alone))
+    other = copy.copy(at.of)
+    other.passes, other.scores = Latest(), Latest()  # of another optimum
+    found = force_scores(Optimum(other, at.levels, at.about, at.at, alone))
     space = at.of.space
     space.use(best.theta)
     acts = space.pushed(at.about.x, at.about.slopes, at.about.after)

@@ -6,12 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
 
 from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError, DataError
-from nsde_torch.simulation import Making, simulated
-from nsde_torch.simulation.flights import START, Pilot, fly
+from nsde_torch.simulation import simulated
 from nsde_torch.sysid.guard import Guarded, Objection
 from nsde_torch.sysid.identify import identify, identify_in_loop
 from nsde_torch.sysid.result import Identification
@@ -19,26 +17,18 @@ from nsde_torch.systems import MACHINES, System, make_plant_system, make_system
 from nsde_torch.systems.parameters import ParameterVector
 from nsde_torch.training.fit_sysid import summary
 
-
-@cache
-def flights(noise: float) -> tuple[Run, ...]:
-    """two flights of 10 s on the hexacopter's plant, whose rotor drag and motor lag the system may declare."""
-    paths = list(Pilot([10.0, 10.0], dt=0.01, seed=3).paths(START))
-    making = Making(process_noise=noise, sensor_noise=noise)
-    flown = fly("hexacopter", paths, generator=torch.Generator().manual_seed(1), making=making)
-    t = 0.01 * np.arange(len(flown.x))
-    return tuple(Run(f"flight_{i}", t, flown.x[:, i], flown.u[:, i]) for i in range(2))
+OPTIONS: dict[str, dict[str, Any]] = {
+    "mass_spring_damper": {"force": "multisine"},
+    "cartpole": {"durations": [4.0] * 6},
+    "hexacopter": {"durations": [10.0] * 2},
+}
 
 
 @cache
-def runs_of(name: str, noise: float, seed: int = 0) -> tuple[Run, ...]:
-    """Runs of a plant, every effect of which the declared physics has (but for the hexacopter's two)."""
-    if name == "hexacopter":
-        return flights(noise)
-    options = {"force": "multisine"} if name == "mass_spring_damper" else {"durations": [4.0] * 6}
+def runs_of(name: str, noise: float) -> tuple[Run, ...]:
+    """Runs of a plant, every effect of which the declared physics has."""
     process = noise if MACHINES[name].gusts else 1.0
-    data = simulated(name, seed=seed, sensor_noise=noise, process_noise=process, **options)
-    return tuple(data.runs)
+    return tuple(simulated(name, seed=0, sensor_noise=noise, process_noise=process, **OPTIONS[name]).runs)
 
 
 def declared(name: str) -> System:

@@ -1,20 +1,21 @@
-"""A motor with the current of its coil, which no port pushes: a machine, and its exact runs."""
+"""A motor with the current of its coil, which no port pushes: a machine, and its runs."""
+
+from dataclasses import replace
 
 import numpy as np
 import torch
-from scipy.linalg import expm
 from torch import Tensor
 
 from nsde_torch.data import DataSet
-from nsde_torch.data.raw import RawRun
 from nsde_torch.effects import Coordinate, Parameter, Port
 from nsde_torch.recording import assemble
 from nsde_torch.systems import Defaults, ResidualPort, System
+from tests.helpers.machines import Array, simulated
 
 PULL, DRAG, BACK = 40.0, 0.6, 0.05
 """rad/s2 of an ampere, 1/s, and A (of a volt, over 1 ohm) of a rad/s."""
 _NOISE, _GUST = (0.001, 0.05, 0.01), 1.0  # of sensors, and of torque [rad/s2]
-_LASTS, _FINE = (0.1, 0.03), 20  # [s]; parts of a row of 10 ms
+_LASTS = 0.1, 0.03  # of gusts and of the ripple [s]
 
 
 class CoilMotor(System):
@@ -51,27 +52,22 @@ class CoilMotor(System):
 def turns(
     seed: int, decay: float, *, friction: float = 0.0, ripple: float = 0.02, seconds: float = 20.0
 ) -> DataSet:
-    """Three runs whose current settles in 1 / decay [s], exact over steps of 0.5 ms.
+    """Three runs whose current settles in 1 / decay [s].
 
     With a dry friction [rad/s2] of tanh, and a ripple of the voltage [V] that nobody logs.
     """
-    rng, rows, h = np.random.default_rng(seed), round(seconds / 0.01), 0.01 / _FINE
-    rate = np.zeros((6, 6))  # of q, w, i, the input, and two gusts
-    rate[0, 1] = 1.0
-    rate[1, [1, 2, 4]] = -DRAG, PULL, 1.0
-    rate[2, [1, 2, 3, 5]] = -decay * BACK, -decay, decay, decay
-    rate[[4, 5], [4, 5]] = -1.0 / np.array(_LASTS)
-    step, t, raw = expm(h * rate), 0.01 * np.arange(rows), []
-    kick = np.array((_GUST, ripple)) * np.sqrt(1.0 - np.exp(-2.0 * h / np.array(_LASTS)))
-    for name in ("a", "b", "c"):
+    rng, t, raw = np.random.default_rng(seed), 0.01 * np.arange(round(seconds / 0.01)), []
+
+    def rates(x: Array, u: Array) -> list[float]:
+        _, w, i, gust, wave = x
+        turn = PULL * i - DRAG * w + gust - friction * np.tanh(w / 0.1)
+        return [w, turn, decay * (u[0] + wave - BACK * w - i), -gust / _LASTS[0], -wave / _LASTS[1]]
+
+    kick = np.array((0.0, 0.0, 0.0, _GUST * (2.0 / _LASTS[0]) ** 0.5, ripple * (2.0 / _LASTS[1]) ** 0.5))
+    for number in range(3):
         waves = np.sin(np.outer(t, 2 * np.pi * rng.uniform(0.1, 2.5, 7)) + rng.uniform(0.0, 6.0, 7)).sum(1)
-        u = 0.7 * waves + np.repeat(rng.choice((-1.0, 1.0), rows // 90 + 1), 90)[:rows]
-        z, x = np.zeros(6), np.empty((rows, 3))
-        for k in range(rows):
-            x[k], z[3] = z[:3], u[k]
-            for _ in range(_FINE):
-                z[1] -= h * friction * np.tanh(z[1] / 0.1)
-                z = step @ z
-                z[4:] += kick * rng.standard_normal(2)
-        raw.append(RawRun(name, t, x + rng.normal(0.0, _NOISE, x.shape), u[:, None]))
+        u = 0.7 * waves + np.repeat(rng.choice((-1.0, 1.0), len(t) // 90 + 1), 90)[: len(t)]
+        how = {"noise": (*_NOISE, 0.0, 0.0), "kick": kick, "rng": rng, "fine": 20}
+        run = simulated(number, rates, np.zeros(5), u[:, None], 0.01, **how)
+        raw.append(replace(run, x=run.x[:, :3]))
     return assemble(raw, CoilMotor(), kind="simulated")

@@ -1,19 +1,19 @@
-"""A plate under a thin heater, which settles in a quarter of the time between two rows; simulated exactly."""
+"""A plate under a thin heater, which settles in a quarter of the time between two rows."""
 
 from collections.abc import Mapping
 from typing import final
 
 import numpy as np
 import torch
-from scipy.linalg import expm
 from torch import Tensor
 
 from nsde_torch.data import Run
 from nsde_torch.effects import Parameter, Port
 from nsde_torch.systems import Defaults, ResidualPort, System
+from tests.helpers.machines import Array, held, simulated
 
 HEATS, FAST, SHARED, LOSS = 2.0, 2.0, 0.02, 0.01
-DT, FINE = 2.0, 40  # step of the log [s], and parts that it is simulated in
+DT = 2.0  # step of the log [s]
 HEAT = Port("heat")
 
 
@@ -42,28 +42,20 @@ class Plate(System):
         return torch.cat((heater, plate), 1) + forces.get(HEAT, 0.0)
 
 
-def heated(effect: str, late: float, *, noise: float = 0.02, seed: int = 0) -> list[Run]:
+def heated(effect: str, late: int, *, noise: float = 0.02, seed: int = 0) -> list[Run]:
     """Runs whose power is drawn anew now and then, and acts late: by a lag of first order, or a delay [s]."""
-    rng, h, runs = np.random.default_rng(seed), DT / FINE, []
-    a = np.array([[-FAST, FAST, HEATS], [SHARED, -SHARED - LOSS, 0.0], [0.0, 0.0, 0.0]])
-    step = expm(h * a)
+    rng, runs, lags = np.random.default_rng(seed), [], effect == "actuator_lag"
+
+    def rates(x: Array, u: Array) -> list[float]:
+        power, over = x[2] if lags else u[0], x[0] - x[1]
+        rise = (u[0] - x[2]) / late
+        return [HEATS * power - FAST * over, SHARED * over - LOSS * x[1], rise]
+
     for number in range(3):
-        n = 400
-        u = np.repeat(rng.uniform(0.0, 5.0, n // 8 + 1), 8)[:n]
-        fine = np.repeat(u, FINE)
-        if effect == "input_delay":
-            acts = np.concatenate([np.full(round(late / h), u[0]), fine])[: len(fine)]
-        else:
-            acts, m, keep = np.empty_like(fine), u[0], np.exp(-h / late)
-            for k, now in enumerate(fine):
-                later = now + (m - now) * keep
-                acts[k], m = now + (m - now) * (1.0 - keep) * late / h, later  # its mean over the part
-        warm = u[0] * HEATS / FAST  # of the heater above the plate
-        z, rows = np.array([warm * (1.0 + SHARED / LOSS), warm * SHARED / LOSS]), []
-        for k in range(len(fine)):
-            if k % FINE == 0:
-                rows.append(z + noise * rng.standard_normal(2))
-            z = (step @ np.append(z, acts[k]))[:2]
-        t = 10_000.0 * number + DT * np.arange(n, dtype=np.float64)
-        runs.append(Run(f"run_{number}", t, np.array(rows), u[:, None]))
+        u = held(rng, 0.0, 5.0, 800, each=16)
+        acts = u if lags else u[(np.arange(len(u)) - late).clip(0)]
+        warm = u[0, 0] * HEATS / FAST  # of the heater above the plate
+        start = [warm * (1.0 + SHARED / LOSS), warm * SHARED / LOSS, u[0, 0]]
+        run = simulated(number, rates, start, acts, 0.5 * DT, noise=(noise, noise, 0.0), rng=rng, fine=20)
+        runs.append(Run(run.name, run.t[::2], run.x[::2, :2], u[::2]))
     return runs

@@ -1,19 +1,19 @@
-"""An electric car on a stiff tyre, whose slip is mostly noise of its two speeds: a machine, and its exact runs."""
+"""An electric car on a stiff tyre, whose slip is mostly noise of its two speeds: a machine, and its runs."""
+
+from dataclasses import replace
 
 import numpy as np
 import torch
-from scipy.linalg import expm
 from torch import Tensor
 
 from nsde_torch.data import DataSet
-from nsde_torch.data.raw import RawRun
 from nsde_torch.effects import Coordinate, Parameter, Port
 from nsde_torch.recording import assemble
 from nsde_torch.systems import Defaults, ResidualPort, System
+from tests.helpers.machines import Array, simulated
 
 CAR, WHEEL, TYRE, LAG_S = 0.96, 12.5, 4.2, 0.05
 TRUTH, LAG = {"car": CAR, "wheel": WHEEL, "tyre": TYRE}, {"time_constant": LAG_S}
-_NOISE, _PROCESS, _FINE = (0.03, 0.04), (0.03, 0.05), 10
 
 
 class Tyre(System):
@@ -40,24 +40,19 @@ class Tyre(System):
 
 
 def drives(seed: int, *, lag: float = LAG_S, seconds: float = 30.0) -> DataSet:
-    """Three drives whose torque acts behind a lag, logged every 10 ms: exact over steps of 1 ms."""
-    rng, dt, rows, fine = np.random.default_rng(seed), 0.01, round(seconds / 0.01), 0.01 / _FINE
-    late = 1.0 / lag
-    rate = np.zeros((4, 4))
-    rate[0, :2] = -CAR * TYRE, CAR * TYRE
-    rate[1, :3] = WHEEL * TYRE, -WHEEL * TYRE, WHEEL
-    rate[2, 2:] = -late, late
-    step, raw = expm(rate * fine), []
-    for name in ("a", "b", "c"):
-        t, size = dt * np.arange(rows), rng.uniform(0.5, 1.0, 7)
+    """Three drives whose torque acts behind a lag, logged every 10 ms."""
+    rng, t, raw = np.random.default_rng(seed), 0.01 * np.arange(round(seconds / 0.01)), []
+
+    def rates(x: Array, u: Array) -> list[float]:
+        f = TYRE * (x[1] - x[0])
+        return [CAR * f, WHEEL * (x[2] - f), (u[0] - x[2]) / lag]
+
+    how = {"noise": (0.03, 0.04, 0.0), "kick": (0.03, 0.05, 0.0), "rng": rng}
+    for number in range(3):
+        size = rng.uniform(0.5, 1.0, 7)
         waves = np.sin(np.outer(t, 2 * np.pi * rng.uniform(0.05, 1.5, 7)) + rng.uniform(0.0, 6.0, 7))
-        held = np.repeat(rng.standard_normal(rows // 45 + 1), 45)[:rows]
-        u, z = 0.6 * (waves @ size) + 0.5 * held, np.array([20.0, 20.0, 0.0])
-        x = np.empty((rows, 2))
-        for k in range(rows):
-            x[k] = z[:2]
-            for _ in range(_FINE):
-                z = step[:3, :3] @ z + step[:3, 3] * u[k]
-                z[:2] += fine**0.5 * np.array(_PROCESS) * rng.standard_normal(2)
-        raw.append(RawRun(name, t, x + np.array(_NOISE) * rng.standard_normal((rows, 2)), u[:, None]))
+        steps = np.repeat(rng.standard_normal(len(t) // 45 + 1), 45)[: len(t)]
+        u = 0.6 * (waves @ size) + 0.5 * steps
+        run = simulated(number, rates, [20.0, 20.0, 0.0], u[:, None], 0.01, **how)
+        raw.append(replace(run, x=run.x[:, :2]))
     return assemble(raw, Tyre(), kind="simulated")

@@ -67,9 +67,9 @@ def test_a_motor_whose_current_settles_within_a_row_is_fitted_as_it_is(decay: fl
 
 
 @pytest.mark.parametrize(("effect", "label"), [("actuator_lag", "time_constant"), ("input_delay", "delay")])
-@pytest.mark.parametrize("late", [4.0, 5.0])
+@pytest.mark.parametrize("late", [4, 5])
 def test_what_acts_late_before_a_node_that_settles_within_a_row_is_as_late_as_it_is(
-    effect: str, label: str, late: float
+    effect: str, label: str, late: int
 ) -> None:
     runs, plate = heated(effect, late), Plate()
     system = plate.with_effects(plate.make_effect(effect, {label: 0.9 * late}))

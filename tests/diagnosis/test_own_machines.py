@@ -63,8 +63,9 @@ def biased(runs: list[RawRun]) -> list[RawRun]:
 
 
 def tired(runs: list[RawRun]) -> list[RawRun]:
-    """Runs on which a share less of the torque acts that grows with the time."""
-    return [replace(run, u=run.u / (1.0 - 0.01 * (run.t - run.t[0])[:, None])) for run in runs]
+    """Runs, by clocks that start with them, on which a share less of the torque acts that grows with the time."""
+    clocks = [run.t - run.t[0] for run in runs]
+    return [replace(r, t=t, u=r.u / (1.0 - 0.01 * t[:, None])) for r, t in zip(runs, clocks, strict=True)]
 
 
 def none(q: float, v: float) -> float:

@@ -71,16 +71,19 @@ def test_a_zero_of_a_joint_that_differs_has_its_runs_and_the_option_that_takes_i
     assert any("to take it out: data.sensor_bias" in line for line in lines(content))  # type: ignore[arg-type]
 
 
-def test_a_reader_takes_out_what_one_run_reads_too_much() -> None:
-    made = nsde_torch.simulate(SPRING, durations=[4.0] * 2, seed=1)
+def test_a_reader_takes_out_what_one_run_reads_too_much(tmp_path: Path) -> None:
+    nsde_torch.simulate(SPRING, durations=[4.0] * 2, seed=1).save(tmp_path)
     off = {"run_1": {"q": 0.12, "q_dot": 0.02}, "q_dot": 0.01}
-    plain, data = nsde_torch.read(made, system=SPRING), nsde_torch.read(made, system=SPRING, sensor_bias=off)
+    plain, data = (
+        nsde_torch.read(tmp_path, system=SPRING),
+        nsde_torch.read(tmp_path, system=SPRING, sensor_bias=off),
+    )
     for before, after, taken in zip(plain.runs, data.runs, ((0.0, 0.01), (0.12, 0.03)), strict=True):
         # what holds in all runs, and what is said of this one
         assert np.allclose(before.x - after.x, taken)
     said = r"`sensor_bias` names 'run_9', which is no run; runs are run_0, run_1"
     with pytest.raises(ConfigError, match=said):
-        nsde_torch.read(made, system=SPRING, sensor_bias={"run_9": {"q": 0.12}})
+        nsde_torch.read(tmp_path, system=SPRING, sensor_bias={"run_9": {"q": 0.12}})
 
 
 FEW = ("coulomb_friction", "quadratic_damping", "actuator_gain_drift", "constant_force")

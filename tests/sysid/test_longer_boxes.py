@@ -145,6 +145,8 @@ def test_a_width_goes_on_below_the_bound_of_the_search_and_the_size_is_right(sys
     within = regression_of(system, assemble(runs, system, kind="test").runs)
     within.run(20)
     dry, width = (within.vector.labels.index(f"coulomb_friction.{name}") for name in ("size", "width"))
+    bound = within.vector.low[width]
+    assert within.theta[width] == pytest.approx(bound, rel=1e-3)
 
     def off(fit: Regression) -> float:
         """Distance of the size from the truth in standard errors."""
@@ -153,7 +155,6 @@ def test_a_width_goes_on_below_the_bound_of_the_search_and_the_size_is_right(sys
         return float(abs(fit.theta[dry] - size) / error)
 
     found = narrower(within, 20)
-    assert within.theta[width] == pytest.approx(within.vector.low[width], rel=1e-3)
-    assert found.theta[width] < 0.75 * within.vector.low[width]
+    assert found.theta[width] < 0.75 * bound
     assert off(within) > 2.5
     assert off(found) < 1.5

@@ -42,10 +42,6 @@ def runs() -> Simulation:
     return nsde_torch.simulate(RAIL, durations=[8.0] * 3, seed=1)
 
 
-def silent(*said: object) -> None:
-    """What is told, to nobody."""
-
-
 # ---- a system --------------------------------------------------------------------------------------------------------
 
 
@@ -150,7 +146,7 @@ def held() -> Simulation:
 
 def test_an_effect_is_fitted_where_it_is_declared(held: Simulation, tmp_path: Path) -> None:
     effects = ["coulomb_friction", {DETENT: {"size": 0.3, "pitch": 0.05}}]
-    how = {"solver": "ralston:Ralston", "run_dir": tmp_path, "say": silent}
+    how = {"solver": "ralston:Ralston", "run_dir": tmp_path, "say": False}
     model = nsde_torch.train(held, system=RAIL, model="sysid", effects=effects, **how)
     fitted = {name: p["value"][0] for name, p in model.metrics["parameters"].items()}
     assert fitted["detent.size"] == pytest.approx(0.8, rel=0.1)
@@ -167,7 +163,7 @@ def test_an_effect_is_fitted_where_it_is_declared(held: Simulation, tmp_path: Pa
 def linear(runs: Simulation, tmp_path_factory: pytest.TempPathFactory) -> Model:
     folder = tmp_path_factory.mktemp("linear")
     return nsde_torch.train(
-        runs, system=RAIL, model="linear_model:Linear", run_dir=folder, say=silent, validation=0.1
+        runs, system=RAIL, model="linear_model:Linear", run_dir=folder, say=False, validation=0.1
     )
 
 
@@ -183,7 +179,7 @@ class TestLinearModel(ModelContract):
         assert float(weights[2, 1]) == pytest.approx(2.0 * dt, rel=0.2)
 
     def test_it_is_evaluated_beside_another(self, trained: Model, runs: Simulation) -> None:
-        physics = nsde_torch.train(runs, system=RAIL, model="sysid", say=silent)
+        physics = nsde_torch.train(runs, system=RAIL, model="sysid", say=False)
         scores = nsde_torch.evaluate({"linear": trained, "physics": physics}, runs, runs=[2], particles=20)
         assert scores.errors["position"]["0.5"] < 0.1
         assert [m["name"] for m in scores.content["models"]] == ["linear", "physics"]

@@ -1,8 +1,5 @@
 """Rates that no sensor measured, inferred with physics."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -12,8 +9,6 @@ from nsde_torch.recording import assemble
 from nsde_torch.sysid.identify import with_rates
 from nsde_torch.systems import make_system
 from tests.helpers.encoders import TRUTH, encoder_runs
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks" / "blind"))
 
 
 def test_rates_with_physics_are_nearer_than_those_without() -> None:

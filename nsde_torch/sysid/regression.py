@@ -348,6 +348,7 @@ class Regression:
         measured, left = (values[:, self.rows] for values in (self.physics.measured, self.residual))
         return bool((np.square(left).mean(0) <= ARITHMETIC**2 * np.square(measured).mean(0)).all())
 
+    @np.errstate(over="ignore")  # of a step that leads far off: it is halved
     def _size(self, residual: Array) -> float:
         pairs = zip(self.noises, self.rows, strict=True)
         return sum(float(np.square(self.whitened(n, residual[:, [c]])).sum()) for n, c in pairs)

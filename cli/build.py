@@ -15,7 +15,7 @@ from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.models import MODELS, ModelOptions
 from nsde_torch.models.kind import model_options as options_of_model
 from nsde_torch.sde import IntegratorOptions, TorchDiffEqOptions
-from nsde_torch.systems import SystemOptions
+from nsde_torch.systems import System, SystemOptions
 from nsde_torch.systems.options import system_options as options_of_system
 
 # Keys of a data configuration that are not arguments of the function that makes or reads the data.
@@ -105,6 +105,11 @@ def system_options(config: DictConfig) -> SystemOptions:
     given = options(config)
     effects = given.pop("effects")
     return options_of_system(SystemOptions(**given), effects=effects)
+
+
+def system(config: DictConfig) -> System:
+    """The machine of the group `system`; ConfigError where there is no such system, effect, parameter or option."""
+    return system_options(config).make()
 
 
 def model_options(config: DictConfig) -> ModelOptions:

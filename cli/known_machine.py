@@ -77,7 +77,7 @@ def diagnosed(folder: Path, moved: str | None) -> KnownMachine:
         )
     config = OmegaConf.load(folder / CONFIG)
     assert isinstance(config, DictConfig)
-    system = build.system_options(config.system).make()
+    system = build.system(config.system)
     data = config.data
     faults = faults_of_sensors(content)
     for name, values in faults.items():  # what sensors do is undone before any physics

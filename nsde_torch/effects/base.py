@@ -17,7 +17,6 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from itertools import product
-from math import inf
 from typing import Any, ClassVar, overload
 
 import torch
@@ -387,14 +386,14 @@ class Effect(Parametrised, ABC):
 
     @classmethod
     def _inside(cls, values: Mapping[str, float | tuple[float, ...]]) -> dict[str, float | list[float]]:
-        """Values moved strictly inside their bounds, by a millionth of their scale at least."""
+        """Values on a bound moved inside, by a millionth of their scale."""
         out: dict[str, float | list[float]] = {}
         for name, value in values.items():
             spec = cls.PARAMETERS[name]
-            margin = 1e-6 * _scale(spec)
-            low = -inf if spec.low is None else spec.low + margin
-            high = inf if spec.high is None else spec.high - margin
-            row = [min(max(v, low), high) for v in (value if isinstance(value, tuple) else (value,))]
+            low, high, margin = spec.low, spec.high, 1e-6 * _scale(spec)
+            row = list(value) if isinstance(value, tuple) else [value]
+            row = [low + margin if low is not None and v <= low else v for v in row]
+            row = [high - margin if high is not None and v >= high else v for v in row]
             out[name] = row if len(row) > 1 else row[0]
         return out
 

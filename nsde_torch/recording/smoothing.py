@@ -62,7 +62,12 @@ def _power(runs: Sequence[Run], n_inputs: int, dt: float) -> tuple[Array, Array]
     """Mean log power of the changes of all inputs; of short runs that of as many parts as there are."""
     from scipy.signal import welch  # half a second, which those who read no data do not pay
 
-    parts = [np.diff(run.u[a:b, :n_inputs], axis=0) for run in runs for a, b in run.segments]
+    every = [np.abs(run.u[:, :n_inputs]).max(0, initial=0.0) for run in runs]
+    size = np.max(every, axis=0, initial=0.0)
+    size = np.where(
+        size > 0.0, size, 1.0
+    )  # a force of kilonewtons is no other motion than one of micronewtons
+    parts = [np.diff(run.u[a:b, :n_inputs] / size, axis=0) for run in runs for a, b in run.segments]
     longest = max((len(part) for part in parts), default=0)
     rows = min(1024, max(256, longest // 3)) if longest >= 2 * 256 else max(longest, _SHORT)
     if sum(max(2 * len(part) // rows - 1, 0) for part in parts) < _PARTS:
@@ -88,7 +93,8 @@ def _standing_alone(changes: Array) -> Array:
     signal every 0.5 s on a sum of sines was taken for a mean over 0.1 s.
     """
     square = changes**2
-    return np.asarray((square**2).mean(0) / ((square[1:] * square[:-1]).mean(0) + 1e-300))
+    apart = np.maximum((square[1:] * square[:-1]).mean(0), 1e-30)
+    return np.asarray((square**2).mean(0) / apart)
 
 
 def mean_weights(rows: int) -> Array:

@@ -24,6 +24,7 @@ from nsde_torch.systems.base import System
 # beside no drag, steps of a wind of 1e6 m/s led nowhere (tests/diagnosis/test_named.py)
 _LONGEST = 10.0  # typical sizes of a parameter that one step may go
 InRun = dict[str, Callable[[Tensor], Tensor]]
+_STRICTLY = 1e-6  # of a typical size: by which values are inside their bounds
 _AROUND = 100.0  # times that the usual size of an effect may differ from what makes all that is measured
 _BEYOND = 4.0  # times the grid of a shape, at which it does not matter any more
 _OUTSIDE = 1.5  # times the usual largest place: beyond, a place is in no data
@@ -148,7 +149,7 @@ class ParameterVector:
     def inside(self, theta: Array) -> Array:
         """The nearest values (k,) strictly inside the bounds, as a system takes them."""
         # bounds of tiny motions lie close
-        margin = np.minimum(1e-6 * self.scale, 1e-3 * (self.high - self.low))
+        margin = np.minimum(_STRICTLY * self.scale, 1e-3 * (self.high - self.low))
         return np.clip(theta, self.low + margin, self.high - margin)
 
     def size(self, theta: Array) -> Array:
@@ -188,16 +189,24 @@ class ParameterVector:
                 share = (system.drift(t, z, u)[:, : system.nx] - rates).square().mean(0).sqrt() / whole
                 most = float(share[whole > 0].max()) if bool((whole > 0).any()) else 0.0
                 if 0.0 < most < np.inf:
+                    nothing = self.start[j] < self.low[j] + 2.0 * _STRICTLY * self.scale[j]
                     self.scale[j] *= np.clip(1.0, 1.0 / (_AROUND * most), _AROUND / most)
-        self.use(theta)
+                    self.start[j] = self.low[j] + _STRICTLY * self.scale[j] if nothing else self.start[j]
+        self.use(torch.as_tensor(self.start))
 
     def limit(self, sizes: Mapping[str, float]) -> None:
         """Narrow the bounds of shapes to a few times the grid of their effect, at these sizes of the data.
+
+        Their typical sizes too, as `measure` does those of what effects are linear in.
 
         A width far below every speed, or far above, changes nothing any more: a search would not find back. A fit that
         has come as far goes on (`nsde_torch.sysid.regression`).
         """
         for place, effect, own in self._of_effects():
+            size = sizes.get(effect.relative.get(own, ""), 0.0)
+            if size:  # a saturation of a stage that is driven by 1e-7 N was none
+                at = self.scale[place.columns]
+                self.scale[place.columns] = np.clip(at, size / _AROUND, size * _AROUND)
             if own in effect.null or own not in effect.shapes:
                 continue
             kind, grid = effect.relative.get(own), np.asarray(effect.shapes[own], dtype=np.float64)
@@ -217,7 +226,6 @@ class ParameterVector:
             self.raised[place.columns] = (self.low[place.columns] < least) & (kind is not None)
             self.low[place.columns] = np.maximum(self.low[place.columns], least)
             self.high[place.columns] = np.minimum(self.high[place.columns], size * grid.max() * _BEYOND)
-        self.scale = np.minimum(self.scale, self.high - self.low)
 
     def _of_effects(self) -> Iterator[tuple[Place, Effect, str]]:
         """Places of parameters of effects, with the effect and the name there."""

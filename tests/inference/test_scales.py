@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 from torch import Tensor
 
+import nsde_torch
 from nsde_torch.data import Run
+from nsde_torch.data.raw import RawRun
 from nsde_torch.effects import Parameter, Port
 from nsde_torch.inference import fit
 from nsde_torch.systems import Defaults, ErrorGroup, ResidualPort, System
@@ -89,3 +91,13 @@ def test_an_inertia_of_a_small_motor_is_fitted() -> None:
     found = fit(system, [Run("r", 0.01 * np.arange(len(u), dtype=np.float64), seen[:, None], u[:, None])])
     assert found.settled
     assert_near(found, {"inertia": INERTIA, "brake": BRAKE}, share=0.05)
+
+
+@pytest.mark.parametrize("metres", [1e-6, 1e3])
+def test_a_spring_that_hardens_is_named_in_any_unit(metres: float) -> None:
+    runs = [RawRun(one.name, one.t, one.x, one.u) for one in hardening_runs(metres)]
+    few = ("cubic_stiffness", "coulomb_friction", "stop_above", "actuator_saturation", "actuator_lag")
+    found = nsde_torch.diagnose(runs, system="mass_spring_damper", candidates=few, say=False)
+    assert found.added == ["cubic_stiffness"]
+    low, high = found.parameters[CUBIC]["interval_90"]
+    assert low < TRUTH[CUBIC] / metres**2 < high

@@ -1077,7 +1077,13 @@ def _columns(
     `own` is the likelihood with it, `along` what is known of the steps of the physics without it.
     """
     space, vector, about, labels = own.space, own.vector, place.at.about, place.best.vector.labels
-    known = dict(zip(labels, place.best.theta.tolist(), strict=True))
+    known, nothing = dict(zip(labels, place.best.theta.tolist(), strict=True)), effect_class(name).at_null()
+    for key, value in start.items():
+        if value == nothing.get(key):
+            continue  # what is nothing depends on the data, and every start has the same
+        alike = [j for j in vector.of(name) if own_name(vector.labels[j]) == key]
+        each = value if isinstance(value, list) else [value] * len(alike)
+        known |= dict(zip((vector.labels[j] for j in alike), each, strict=True))
     theta, mine = vector.inside(vector.first_values(known)), vector.of(name)
     missing = [j for j, label in enumerate(labels) if label not in vector.labels]
     sizes = vector.sizes(name) if effect_class(name).amplitudes else []

@@ -385,6 +385,11 @@ class Effect(Parametrised, ABC):
         return [cls._inside({**cls.null, **dict(zip(cls.shapes, point, strict=True))}) for point in points]
 
     @classmethod
+    def at_null(cls) -> dict[str, float | list[float]]:
+        """Values of `null`, strictly inside the bounds."""
+        return cls._inside(cls.null)
+
+    @classmethod
     def _inside(cls, values: Mapping[str, float | tuple[float, ...]]) -> dict[str, float | list[float]]:
         """Values on a bound moved inside, by a millionth of their scale."""
         out: dict[str, float | list[float]] = {}

@@ -11,6 +11,7 @@ import ast
 import html
 import re
 from collections.abc import Iterator
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -35,9 +36,7 @@ def on_config(config: Any) -> Any:
 
 def on_files(files: Files, config: Any) -> Files:
     """Add the pages that are made from the code."""
-    from nsde_torch.cli import main
-
-    main.version()  # the package must be installed: the pages are its own words
+    metadata.version("nsde_torch")  # the package must be installed: the pages are its own words
     pages = {
         "reference/commands.md": _commands(),
         "reference/configuration.md": _configuration(),

@@ -1,8 +1,12 @@
 """`nsde_torch.diagnose`: what `nsde diagnose` does."""
 
 from collections.abc import Callable, Mapping, Sequence
+from math import inf, pi
 from pathlib import Path
 from typing import Any, Literal
+
+import numpy as np
+import torch
 
 from nsde_torch.api.reading import Data, read, split_runs
 from nsde_torch.data import DataSet
@@ -14,9 +18,13 @@ from nsde_torch.diagnosis.stages import StoppedError, read_begun
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.progress import Say, Stages, reported
 from nsde_torch.recording.times import no_finer
+from nsde_torch.sde.exponential import jacobians
 from nsde_torch.systems.base import System
 from nsde_torch.systems.options import Effects, SystemOptions, system_options
+from nsde_torch.systems.parameters import frozen
 from nsde_torch.threads import one_thread
+
+_SOME = 50  # rows at which the declared physics is asked how fast it swings
 
 
 @one_thread()
@@ -105,7 +113,8 @@ def diagnose(
     check_candidates(machine, options.candidates or (), options.also)
 
     def rows_of(source: Data) -> DataSet:
-        return no_finer(read(source, system=machine), machine)
+        data = read(source, system=machine)
+        return no_finer(data, machine, _twelfth_of_a_period(machine, data))
 
     runs = rows_of(data)
     looked_at = list(runs.runs)
@@ -136,3 +145,17 @@ def diagnose(
             if stages is not None:
                 stages("stopped, with what is known so far", 1, 1)
             return stop.found
+
+
+@torch.no_grad()
+def _twelfth_of_a_period(machine: System, data: DataSet) -> float:
+    """Of the fastest swing of the declared physics at some rows of data [s]; inf where it does not swing."""
+    run, physics = max(data.runs, key=len), frozen(machine)
+    rows = np.linspace(0, len(run) - 1, _SOME).astype(int)
+    t, x, u = (torch.from_numpy(np.asarray(values[rows])) for values in (run.t, run.x, run.u))
+    memory = physics.augment(x, u)[:, physics.nx :]
+    slopes = jacobians(lambda x: physics.drift(t, torch.cat((x, memory), 1), u)[:, : physics.nx], x)
+    if not bool(slopes.isfinite().all()):
+        return inf
+    fastest = float(torch.linalg.eigvals(slopes).imag.abs().max())
+    return 2.0 * pi / (12.0 * fastest) if fastest else inf

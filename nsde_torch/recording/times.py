@@ -9,6 +9,7 @@ import itertools
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
+from math import inf
 
 import numpy as np
 
@@ -337,9 +338,12 @@ def _holding(
     return data_set_of(runs, system, kind=data.kind, slopes=slopes, rank=rank, findings=findings, **own)
 
 
-def no_finer(data: DataSet, system: SystemInfo) -> DataSet:
-    """The data set with as many rows of a long log in one as fit into 5 ms, which is then one of its findings."""
-    fit = int(FINEST_S / (data.dt * data.clock_scale) + _ROUNDED)
+def no_finer(data: DataSet, system: SystemInfo, most: float = inf) -> DataSet:
+    """The data set with as many rows of a long log in one as fit into 5 ms, which is then one of its findings.
+
+    And into `most` [s]: at 2 kHz nothing is left in 5 ms of a stage that swings at 300 Hz.
+    """
+    fit = int(min(FINEST_S, most) / (data.dt * data.clock_scale) + _ROUNDED)
     every = min(fit, sum(len(run) for run in data.runs) // _ENOUGH)
     if every < LONGER:
         return data

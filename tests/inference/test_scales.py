@@ -20,19 +20,19 @@ TRUTH = {G: 1.3, K: 4.0, B: 0.3, CUBIC: 2.0}
 DT, FINE = 0.02, 20
 
 
-def hardening_runs(metres: float) -> list[Run]:
+def hardening_runs(metres: float, *, steps: int = 100, dt: float = DT, fine: int = FINE) -> list[Run]:
     """Springs that harden, by small steps of their own; a length and a force of 1 are so many in the log."""
-    rng, out = np.random.default_rng(4), []
+    rng, out, h = np.random.default_rng(4), [], dt / fine
     for number in range(2):
-        u = np.repeat(rng.uniform(-2.0, 2.0, 100), 10)
+        u = np.repeat(rng.uniform(-2.0, 2.0, steps), round(0.2 / dt))
         x, rows = np.array([0.5, 0.0]), np.empty((len(u), 2))
         for k, force in enumerate(u):
             rows[k] = x
-            for _ in range(FINE):
-                v = x[1] + 0.5 * DT / FINE * _force(x, force)
-                x = x + DT / FINE * np.array([v, _force(np.array([x[0] + 0.5 * DT / FINE * x[1], v]), force)])
+            for _ in range(fine):
+                v = x[1] + 0.5 * h * _force(x, force)
+                x = x + h * np.array([v, _force(np.array([x[0] + 0.5 * h * x[1], v]), force)])
         seen = metres * (rows + rng.standard_normal(rows.shape) * (0.002, 0.005))
-        out.append(Run(f"r{number}", DT * np.arange(len(u), dtype=np.float64), seen, metres * u[:, None]))
+        out.append(Run(f"r{number}", dt * np.arange(len(u), dtype=np.float64), seen, metres * u[:, None]))
     return out
 
 
@@ -47,6 +47,22 @@ def test_a_spring_that_hardens_is_fitted_in_any_unit(metres: float) -> None:
     found = fit(spring("cubic_stiffness", values=first), hardening_runs(metres))
     assert found.settled
     assert_near(found, truth)
+
+
+def test_a_machine_that_swings_fast_keeps_the_rows_that_show_it() -> None:
+    slow, faster = (
+        hardening_runs(1.0, steps=6000, dt=0.1, fine=5),
+        500.0,
+    )  # a thousandth of it is half a period
+    runs = [RawRun(one.name, one.t / faster, one.x * (1.0, faster), one.u * faster**2) for one in slow]
+    few = ("cubic_stiffness", "coulomb_friction", "actuator_lag")
+    values = {K: TRUTH[K] * faster**2, B: TRUTH[B] * faster}
+    found = nsde_torch.diagnose(
+        runs, system="mass_spring_damper", parameters=values, candidates=few, say=False
+    )
+    assert found.added == ["cubic_stiffness"]
+    low, high = found.parameters[CUBIC]["interval_90"]
+    assert low < TRUTH[CUBIC] * faster**2 < high
 
 
 TORQUE, INERTIA, BRAKE = 1e-3, 2e-6, 1e-6

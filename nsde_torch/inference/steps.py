@@ -259,18 +259,18 @@ def data_sizes(system: System, steps: Steps) -> dict[str, float]:
     and the number of runs where these have numbers.
     """
 
-    def size(values: Tensor, share: float = 0.95) -> float:
-        return (float(np.quantile(values.abs().numpy(), share)) if values.numel() else 1.0) or _LEAST
+    def size(values: Tensor, share: float = 0.95, least: float = _LEAST) -> float:
+        return (float(np.quantile(values.abs().numpy(), share)) if values.numel() else 1.0) or least
 
     out = {"input": size(steps.u[:, : system.nu]), "step": steps.dt}
     out |= {kind: size(steps.x0[:, k]) for kind, k in _COLUMNS.items() if k < system.nx}
-    out["least input"] = size(steps.u[:, : system.nu], _SELDOM)
+    out["least input"] = size(steps.u[:, : system.nu], _SELDOM, 0.0)
     each = torch.minimum((steps.u > 0).double().mean(0), (steps.u < 0).double().mean(0))[: system.nu]
     out["rarer sign"] = float(each.min()) if len(each) else 0.0
     for one in system.single_inputs():
         out[joined_name("rarer sign", one.name)] = float(each[one.column])
         out[joined_name("input", one.name)] = size(steps.u[:, one.column])
-        out[joined_name("least input", one.name)] = size(steps.u[:, one.column], _SELDOM)
+        out[joined_name("least input", one.name)] = size(steps.u[:, one.column], _SELDOM, 0.0)
     if RUN in system.exogenous:
         out[RUN] = 1.0 + float(steps.u[:, system.nu + system.exogenous.index(RUN)].max())
     for at in system.bound_coordinates():

@@ -64,9 +64,7 @@ def _power(runs: Sequence[Run], n_inputs: int, dt: float) -> tuple[Array, Array]
 
     every = [np.abs(run.u[:, :n_inputs]).max(0, initial=0.0) for run in runs]
     size = np.max(every, axis=0, initial=0.0)
-    size = np.where(
-        size > 0.0, size, 1.0
-    )  # a force of kilonewtons is no other motion than one of micronewtons
+    size = np.where(size > 0.0, size, 1.0)  # kilonewtons are no other signal than micronewtons
     parts = [np.diff(run.u[a:b, :n_inputs] / size, axis=0) for run in runs for a, b in run.segments]
     longest = max((len(part) for part in parts), default=0)
     rows = min(1024, max(256, longest // 3)) if longest >= 2 * 256 else max(longest, _SHORT)

@@ -21,9 +21,8 @@ from nsde_torch.sde.step import SDE, Step, Time, within
 # voltage was to turn the other way, and was a torque of its own (tests/inference/test_stiff.py)
 _STIFF = 0.7
 MOSTLY = 0.5  # share of the rows
-_SMALL = (
-    1e-6  # differences of states whose size is between a thousandth and a thousand, and their share of others
-)
+# differences of states whose size is between a thousandth and a thousand; of others they are in proportion to it
+_SMALL = 1e-6
 _DOUBLED = 8  # times a model doubles, as what is traced has no numbers: enough for norms of 128
 _BALANCED = 4  # times that each row and column is made as large as the other
 _TERMS = 10  # of the series, as `matrix_functions.TERMS`

@@ -53,7 +53,7 @@ def test_a_machine_that_swings_fast_keeps_the_rows_that_show_it() -> None:
     slow, faster = (
         hardening_runs(1.0, steps=6000, dt=0.1, fine=5),
         500.0,
-    )  # a thousandth of it is half a period
+    )  # a thousandth is 0.8 periods
     runs = [RawRun(one.name, one.t / faster, one.x * (1.0, faster), one.u * faster**2) for one in slow]
     few = ("cubic_stiffness", "coulomb_friction", "actuator_lag")
     values = {K: TRUTH[K] * faster**2, B: TRUTH[B] * faster}

@@ -12,7 +12,7 @@ from nsde_torch.diagnosis.joint_selection import JointSearch, JointSelection
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.inference import LogLikelihood
 from nsde_torch.systems import make_system
-from tests.helpers.diagnosed import recorded
+from tests.helpers.diagnosed import diagnosed, recorded
 from tests.inference.springs import linear_runs, rubbing, small_runs
 
 STRIBECK = {"k": 5.06, "b": 0.5, "g": 1.0}
@@ -102,3 +102,9 @@ def test_a_steady_push_is_no_gust_that_never_ends() -> None:
     first = found.rounds[0].look[0]
     assert first.name == "constant_force"
     assert first.nats > 10.0  # 1.2 beside a gust of 81 s
+
+
+def test_a_candidate_is_looked_for_from_each_of_its_starts() -> None:
+    few = Options(candidates=("actuator_saturation", "asymmetric_saturation", "actuator_deadband"))
+    _, content = diagnosed("mass_spring_damper", {"actuator_saturation": {"level": 0.9}}, options=few)
+    assert content["added"] == ["actuator_saturation"]

@@ -4,7 +4,7 @@
     python benchmarks/blind/mujoco_study.py --seed 1 --count 15 --out runs/mujoco
 
 Case i holds kind i of `mujoco_machines.KINDS`, with a size drawn by the seed. An answer is right where the effects are
-among what was added; what else was added is told beside them. `declared` counts intervals of the declared physics.
+among what was added; what else was added is printed beside them. `declared` counts intervals of the declared physics.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ from nsde_torch.systems.options import Effects, SystemOptions, system_options
 from nsde_torch.systems.parameters import frozen
 from nsde_torch.threads import one_thread
 
-_SOME = 50  # rows at which the declared physics is asked how fast it swings
+_SOME = 50  # rows at which the declared physics is asked how fast it oscillates
 
 
 @one_thread()
@@ -149,7 +149,9 @@ def diagnose(
 
 @torch.no_grad()
 def _twelfth_of_a_period(machine: System, data: DataSet) -> float:
-    """Of the fastest swing of the declared physics at some rows of data [s]; inf where it does not swing."""
+    """Of the fastest oscillation of the declared physics at some rows of data [s]; inf where there is none."""
+    if not data.runs:
+        return inf
     run, physics = max(data.runs, key=len), frozen(machine)
     rows = np.linspace(0, len(run) - 1, _SOME).astype(int)
     t, x, u = (torch.from_numpy(np.asarray(values[rows])) for values in (run.t, run.x, run.u))

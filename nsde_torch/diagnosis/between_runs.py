@@ -41,6 +41,7 @@ from nsde_torch.diagnosis.regressors import MOST_RUNS
 from nsde_torch.diagnosis.search import Search, repeats_seldom
 from nsde_torch.diagnosis.within_runs import cut_where_it_changes
 from nsde_torch.effects import Effect
+from nsde_torch.effects.base import STRICTLY
 from nsde_torch.effects.by_run import BY_RUN, RUN, ByRun
 from nsde_torch.effects.expression_grammar import is_law
 from nsde_torch.effects.law import split_name
@@ -78,7 +79,7 @@ class ExplainedDifference:
                 system = system.with_effects()
                 effect, own = target.rsplit("/", 1)
                 shared_by_all = effect_of(system, effect)
-                spec, inside = shared_by_all.parameter(own), 1e-6 * shared_by_all.scale_of(own)
+                spec, inside = shared_by_all.parameter(own), STRICTLY * shared_by_all.scale_of(own)
                 low = -np.inf if spec.low is None else spec.low + inside
                 high = np.inf if spec.high is None else spec.high - inside
                 shared_by_all.set_value(own, np.clip(each[0], low, high).tolist())

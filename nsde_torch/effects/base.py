@@ -54,6 +54,10 @@ def _copied(value: Any, memo: dict[int, Any]) -> Any:
     return copy.deepcopy(value, memo)
 
 
+STRICTLY = 1e-6
+"""Share of its typical size by which a value is inside its bounds."""
+
+
 class Port(str, Enum):
     """Where a term enters a system.
 
@@ -395,7 +399,7 @@ class Effect(Parametrised, ABC):
         out: dict[str, float | list[float]] = {}
         for name, value in values.items():
             spec = cls.PARAMETERS[name]
-            low, high, margin = spec.low, spec.high, 1e-6 * _scale(spec)
+            low, high, margin = spec.low, spec.high, STRICTLY * _scale(spec)
             row = list(value) if isinstance(value, tuple) else [value]
             row = [low + margin if low is not None and v <= low else v for v in row]
             row = [high - margin if high is not None and v >= high else v for v in row]

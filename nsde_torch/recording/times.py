@@ -341,7 +341,7 @@ def _holding(
 def no_finer(data: DataSet, system: SystemInfo, most: float = inf) -> DataSet:
     """The data set with as many rows of a long log in one as fit into 5 ms, which is then one of its findings.
 
-    And into `most` [s]: of a spring that swings at 160 Hz, logged at 5 kHz, nothing was found in rows of 4.8 ms.
+    And into `most` [s]: of a spring that oscillates at 160 Hz, logged at 5 kHz, nothing was found in rows of 4.8 ms.
     """
     fit = int(min(FINEST_S, most) / (data.dt * data.clock_scale) + _ROUNDED)
     every = min(fit, sum(len(run) for run in data.runs) // _ENOUGH)

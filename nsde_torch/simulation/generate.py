@@ -16,6 +16,7 @@ import numpy as np
 from nsde_torch.data.csv_folder import write_table
 from nsde_torch.data.raw import RawRun
 from nsde_torch.effects import Effect, Parameter, effect_class
+from nsde_torch.effects.base import STRICTLY
 from nsde_torch.errors import ConfigError, NonFiniteError
 from nsde_torch.recording.chain import Recording
 from nsde_torch.simulation.make import Making, check_numbers
@@ -292,7 +293,7 @@ def _off_bounds(spec: Parameter, value: float | list[float]) -> float | list[flo
     """A value that lies on a bound moved a little inside: none of a loss is a loss of a millionth of its scale."""
     if isinstance(value, list):
         return [float(_off_bounds(spec, v)) for v in value]  # type: ignore[arg-type]
-    margin = 1e-6 * (spec.scale or 1.0)
+    margin = STRICTLY * (spec.scale or 1.0)
     if value == spec.low:
         return value + margin
     return value - margin if value == spec.high else value

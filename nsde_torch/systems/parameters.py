@@ -17,6 +17,7 @@ from torch import Tensor
 
 from nsde_torch.arrays import Array
 from nsde_torch.effects import Effect, Parametrised, Port, effect_class
+from nsde_torch.effects.base import STRICTLY
 from nsde_torch.effects.one_input import in_unit
 from nsde_torch.errors import ConfigError
 from nsde_torch.systems.base import System
@@ -24,8 +25,7 @@ from nsde_torch.systems.base import System
 # beside no drag, steps of a wind of 1e6 m/s led nowhere (tests/diagnosis/test_named.py)
 _LONGEST = 10.0  # typical sizes of a parameter that one step may go
 InRun = dict[str, Callable[[Tensor], Tensor]]
-_STRICTLY = 1e-6  # of a typical size: by which values are inside their bounds
-_AROUND = 100.0  # times that the usual size of an effect may differ from what makes all that is measured
+_AROUND = 100.0  # times that the typical size of an effect may differ from that of the data
 _BEYOND = 4.0  # times the grid of a shape, at which it does not matter any more
 _OUTSIDE = 1.5  # times the usual largest place: beyond, a place is in no data
 
@@ -101,7 +101,7 @@ class ParameterVector:
                 high = np.inf if spec.high is None else spec.high
                 scale = module.scale_of(name)
                 if not isinstance(module, Effect) and spec.scale is None:
-                    # an inertia of 2e-6 kg m2 had the usual size of 0.1, and no slope
+                    # an inertia of 2e-6 kg m2 had the typical size of 0.1, and its fit did not settle
                     scale = float(np.abs(spec.initial).max()) or scale
                 rows += [(v, low, high, scale, carries) for v in value.tolist()]
             module.__dict__["value"] = _Lookup(own, self._theta, module.in_run)
@@ -149,7 +149,7 @@ class ParameterVector:
     def inside(self, theta: Array) -> Array:
         """The nearest values (k,) strictly inside the bounds, as a system takes them."""
         # bounds of tiny motions lie close
-        margin = np.minimum(_STRICTLY * self.scale, 1e-3 * (self.high - self.low))
+        margin = np.minimum(STRICTLY * self.scale, 1e-3 * (self.high - self.low))
         return np.clip(theta, self.low + margin, self.high - margin)
 
     def size(self, theta: Array) -> Array:
@@ -189,9 +189,9 @@ class ParameterVector:
                 share = (system.drift(t, z, u)[:, : system.nx] - rates).square().mean(0).sqrt() / whole
                 most = float(share[whole > 0].max()) if bool((whole > 0).any()) else 0.0
                 if 0.0 < most < np.inf:
-                    nothing = self.start[j] < self.low[j] + 2.0 * _STRICTLY * self.scale[j]
-                    self.scale[j] *= np.clip(1.0, 1.0 / (_AROUND * most), _AROUND / most)
-                    self.start[j] = self.low[j] + _STRICTLY * self.scale[j] if nothing else self.start[j]
+                    nothing = self.start[j] < self.low[j] + 2.0 * STRICTLY * self.scale[j]
+                    self.scale[j] = _near(self.scale[j], self.scale[j] / most)
+                    self.start[j] = self.low[j] + STRICTLY * self.scale[j] if nothing else self.start[j]
         self.use(torch.as_tensor(self.start))
 
     def limit(self, sizes: Mapping[str, float]) -> None:
@@ -204,9 +204,8 @@ class ParameterVector:
         """
         for place, effect, own in self._of_effects():
             size = sizes.get(effect.relative.get(own, ""), 0.0)
-            if size:  # a saturation of a stage that is driven by 1e-7 N was none
-                at = self.scale[place.columns]
-                self.scale[place.columns] = np.clip(at, size / _AROUND, size * _AROUND)
+            if size:  # of a spring that is driven by 1e-7 N a saturation was three laws
+                self.scale[place.columns] = _near(self.scale[place.columns], size)
             if own in effect.null or own not in effect.shapes:
                 continue
             kind, grid = effect.relative.get(own), np.asarray(effect.shapes[own], dtype=np.float64)
@@ -259,6 +258,11 @@ class ParameterVector:
             effect, dot, own = place.name.partition(".")
             owner: Parametrised = effects[effect] if dot else system
             owner.set_value(own if dot else place.name, values[place.columns])
+
+
+def _near(scale: Array, size: float) -> Array:
+    """Typical sizes, as near as they may be to one of the data."""
+    return np.clip(scale, size / _AROUND, size * _AROUND)
 
 
 def _effects_of(system: System) -> dict[str, Effect]:

@@ -1,4 +1,4 @@
-"""What is left of a spring is told by its shape, its place, its moment and its run, where nothing may be added."""
+"""What is left of a spring is reported with its shape, place, moment and run, where nothing may be added."""
 
 from collections.abc import Callable
 from typing import Any

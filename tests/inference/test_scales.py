@@ -49,7 +49,7 @@ def test_a_spring_that_hardens_is_fitted_in_any_unit(metres: float) -> None:
     assert_near(found, truth)
 
 
-def test_a_machine_that_swings_fast_keeps_the_rows_that_show_it() -> None:
+def test_a_machine_that_oscillates_fast_keeps_the_rows_that_show_it() -> None:
     slow, faster = (
         hardening_runs(1.0, steps=6000, dt=0.1, fine=5),
         500.0,

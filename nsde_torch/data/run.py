@@ -120,6 +120,8 @@ class Run:
     deviation, their unit)."""
     ahead: float = 0.0
     """Time by which the inputs are earlier than in the log, as the mean of a row and the next one is [s of the log]."""
+    pace: float = 1.0
+    """Times in seconds that are typical of drives and vehicles are multiplied by this (`nsde_torch.data.pace`)."""
     unbroken: tuple[tuple[int, int], ...] = ()
     """Ranges without a gap that the segments are parts of, where rows between these were left out of a regression
     alone: they still say what an effect with memory held. Default: none but the segments."""

@@ -74,7 +74,7 @@ class Windows:
                 f"got {dt_model:.6g} s, {ratio:.4g} steps. Take {low * data_dt:.6g} or "
                 f"{(low + 1) * data_dt:.6g} s, or read the data with another `dt`."
             )
-        self.dt_model, self.horizon, self.dt = dt_model, int(horizon), data_dt
+        self.dt_model, self.horizon, self.dt, self.pace = dt_model, int(horizon), data_dt, runs[0].pace
         self.stride = round(ratio)
         self.run_names = tuple(run.name for run in runs)
         lengths = np.array([len(run) for run in runs])

@@ -66,7 +66,7 @@ class Scored:
 
 def scored(left: LeftOut, steps: Steps, folds: Folds) -> Scored:
     """Physics on what it was not fitted to, with its mean residual rates there."""
-    system, window = left.vector.at_first(), bump(steps.dt)
+    system, window = left.vector.at_first(), bump(steps.dt, steps.pace)
     rows, physics = dynamic_rows(system), Physics(ParameterVector(system), steps)
     run, t = np.repeat(np.array(steps.runs), [b - a for a, b in steps.segments]), steps.t.numpy()
     fold, change = folds.of(run, t), np.zeros((len(steps), len(rows)))

@@ -8,7 +8,7 @@ for, and not what counts as found. Where a field names no source, the number was
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 
 from nsde_torch.errors import ConfigError
 from nsde_torch.options import check, documented, key
@@ -167,6 +167,11 @@ class Decisions:
 
     def __post_init__(self) -> None:
         check(type(self), {k: v for k, v in vars(self).items() if k != "wording"})
+
+    def at_pace(self, pace: float) -> Decisions:
+        """The same with its times for machines of a pace (`nsde_torch.data.pace`)."""
+        times = (one.name for one in fields(self) if one.metadata.get("unit") == "s")
+        return replace(self, **{name: pace * getattr(self, name) for name in times})
 
 
 @documented

@@ -545,7 +545,8 @@ class JointSearch:
         look = looked(self.search, begun, self._frequencies)[:_TRIED]
         first = [system for p in look for system in (p.system, p.begun)]
         for name in candidate_names(given, self.search.candidates):
-            first += [joined(given, name, dict(values)) for values in effect_class(name).fitted_from]
+            values = effect_class(name).fits_from(begun.at.of.sizes)
+            first += [joined(given, name, dict(one)) for one in values]
         few = self._in_few_rows(_OF_RESONANCE) or self
         most: FittedPhysics | None = None
         for system in first:
@@ -630,7 +631,7 @@ class JointSearch:
         log tells. Each to its end: they begin far below the physics without it, and one fit may not get there. Of a
         hidden mass of 3 % it was 190 nats short (benchmarks/blind/hidden_masses.py, spring 16).
         """
-        before, values = best, _seen_once_fitted(name)
+        before, values = best, _seen_once_fitted(name, place.at.of.sizes)
         if not values or not place.best.predictable.any():
             return best
         few = self._in_few_rows(_OF_RESONANCE) or self
@@ -665,7 +666,7 @@ class JointSearch:
         """
         wanted = place.best.likelihood + max(least, self.search.decisions.alike_nats)
         there = self.tried(proposal.system, place, wanted)
-        if _seen_once_fitted(proposal.name):
+        if _seen_once_fitted(proposal.name, place.at.of.sizes):
             return self._from_each(proposal.name, place, there)
         if there.best.likelihood > place.best.likelihood + _RISES * proposal.nats:
             return there
@@ -957,13 +958,13 @@ def fitted(system: System, like: FittedPhysics) -> FittedPhysics:
     return fitted_at(like.at.of.of(system), system, like.at)
 
 
-def _seen_once_fitted(name: str) -> Sequence[Mapping[str, float]]:
+def _seen_once_fitted(name: str, sizes: Mapping[str, float]) -> Sequence[Mapping[str, float]]:
     """Values from which fits of an effect begin, as a linearised step from no effect shows nothing of it.
 
     Of what acts on inputs it does, unless their gain is nothing (`JointSearch._afresh`).
     """
     cls = effect_class(name)
-    return () if cls.port is Port.INPUT else cls.fitted_from
+    return () if cls.port is Port.INPUT else cls.fits_from(sizes)
 
 
 def coordinate_of(system: System, effect: Law) -> list[str]:

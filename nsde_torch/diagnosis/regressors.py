@@ -154,12 +154,12 @@ def _even(made: Callable[..., Sequence[Array]], *given: Any) -> Functions:
     return both
 
 
-def rows_before(dt: float, *, moved: bool) -> list[int]:
+def rows_before(dt: float, pace: float, *, moved: bool) -> list[int]:
     """How many rows of `dt` [s] before inputs are looked at.
 
     Between rows, channels curve where inputs change; what `moved` channels to where they belong does not know.
     """
-    return sorted({max(1, round(seconds / dt)) for seconds in (_BEFORE_S[1:] if moved else _BEFORE_S)})
+    return sorted({max(1, round(seconds * pace / dt)) for seconds in (_BEFORE_S[1:] if moved else _BEFORE_S)})
 
 
 def _before(v: Array, edges: Sequence[tuple[int, int]], boxes: int) -> Array:

@@ -116,7 +116,7 @@ class PhysicsResiduals:
         self.t = np.asarray(steps.t.numpy())
         self.edges, self.dt = steps.segments, steps.dt
         self.runs = np.repeat(np.array(steps.runs), [b - a for a, b in steps.segments])
-        before = regressors.rows_before(self.dt, moved=search.moved)
+        before = regressors.rows_before(self.dt, steps.pace, moved=search.moved)
         groups = regressors.functions_of_groups(
             self.system, self.columns, self.t, self.runs, self.edges, before=before
         )

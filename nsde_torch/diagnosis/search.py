@@ -181,7 +181,7 @@ class Search:
         say: Say = lambda stage, done, total: None,
         so_far: "Callable[[Outcome], None]" = lambda outcome: None,
     ) -> None:
-        self.box = max(1, int(_BOX_S / (runs[0].dt * clock) + 1e-6))
+        self.box = max(1, int(_BOX_S * runs[0].pace / (runs[0].dt * clock) + 1e-6))
         noisy, shortest = system.sensor_noise, max(self.box, _SHORTEST)
         self.steps = steps_of(
             system, runs, clock=clock, denoise=noisy, shortest=shortest, run_in=True, differences=self.box
@@ -191,7 +191,8 @@ class Search:
             named = on_coordinates(system, (*options.candidates, *map(register, options.also)))
             self.candidates = [*named, *of_each_run(named)]
         decisions = options.decisions if decisions is None else decisions
-        self.decisions, self.budgets = replace(decisions, alpha=options.alpha), budgets
+        self.decisions = replace(decisions.at_pace(runs[0].pace), alpha=options.alpha)
+        self.budgets = budgets
         # what an undeclared resonance makes of held inputs may pass for motion between rows; a delay then takes it back
         # (tests/diagnosis/test_hidden_mass.py)
         self.shortest = self.decisions.resolution * self.steps.dt + clock * max(run.ahead for run in runs)

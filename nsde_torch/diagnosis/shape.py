@@ -68,7 +68,7 @@ def rates(regression: Regression, variables: Measured) -> Rates:
     """Mean residual rates of the dynamic channels, and everything that they may depend on."""
     columns, t = variables.columns, variables.t
     edges = regression.series.edges
-    window = bump(regression.dt)
+    window = bump(regression.dt, regression.pace)
     names = [*columns, "time"]
     table = np.column_stack([*columns.values(), t, *regression.residual[:, regression.rows].T])
     # `smooth_rate` divides by the step, as is due to changes over steps
@@ -79,9 +79,8 @@ def rates(regression: Regression, variables: Measured) -> Rates:
     run = np.repeat(np.array(owners, dtype=np.int64), counts)
     place = np.concatenate([np.arange(n) for n in counts]) if sum(counts) else np.zeros(0, dtype=np.int64)
     stretch = np.repeat(np.arange(len(counts)), counts)
-    _, block = np.unique(
-        np.stack((stretch, (place * regression.dt / _BLOCK_S).astype(np.int64))), axis=1, return_inverse=True
-    )
+    block_of = (place * regression.dt / (_BLOCK_S * regression.pace)).astype(np.int64)
+    _, block = np.unique(np.stack((stretch, block_of)), axis=1, return_inverse=True)
     return Rates(
         names=tuple(regression.physics.names[c] for c in regression.rows),
         units=tuple(per_second(regression.physics.units[c]) for c in regression.rows),
@@ -95,7 +94,7 @@ def rates(regression: Regression, variables: Measured) -> Rates:
 
 def rates_width(regression: Regression) -> float:
     """Length of the test function of `rates` [s]."""
-    return len(bump(regression.dt)) * regression.dt
+    return len(bump(regression.dt, regression.pace)) * regression.dt
 
 
 def variable_units(system: System) -> dict[str, str]:
@@ -179,7 +178,7 @@ class ChannelResidual:
 def channel_residuals(before: Regression, after: Regression) -> list[ChannelResidual]:
     """Residuals of every dynamic channel without and with effects."""
     steps = before.physics.steps
-    window = bump(steps.dt)
+    window = bump(steps.dt, steps.pace)
     bend = np.square(np.diff(window, prepend=0.0, append=0.0)).sum()
     out = []
     for channel in before.rows:

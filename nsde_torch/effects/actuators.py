@@ -17,6 +17,7 @@ BOOK = "Tao, Kokotovic, Adaptive Control of Systems with Actuator and Sensor Non
 FLYING = ("hexacopter", "quadrotor")
 NONE = 1e6
 """A level of saturation that no command reaches."""
+_SHORTEST_S = 1e-6  # time of a memory: that of an amplifier's current, logged at 10 kHz, is 0.3 ms
 _QUICK_S = 0.002  # in which play is taken up where no step is known [s]
 
 
@@ -84,8 +85,9 @@ class InputDelay(InputMemory):
     whole_steps = True
     formula = "u_eff(t) = u(t - T), by a rational approximation"
     source = "Pade approximant [1/2] of exp; Golub, Van Loan, Matrix Computations, section 9.3"
-    delay = Parameter(0.02, "s", low=0.001, scale=0.02, help="time from log to effect")
+    delay = Parameter(0.02, "s", low=_SHORTEST_S, scale=0.02, help="time from log to effect")
     null = {"delay": 0.0}
+    resolved = {"delay": 0.1}
     # a delay by another whole number of steps is another input: what is tried must lie within a step of the truth
     shapes = {"delay": (0.5, 1.5, 2.5, 3.5, 4.5, 6.0, 8.0, 11.0, 15.0, 20.0)}
     relative = {"delay": "step"}
@@ -176,7 +178,7 @@ class Lag(_AnyLag):
     """A first-order lag on every input."""
 
     formula = "u_eff = m, dm/dt = (u - m) / tau"
-    time_constant = Parameter(0.05, "s", low=0.002, help="time to reach 63 %")
+    time_constant = Parameter(0.05, "s", low=_SHORTEST_S, help="time to reach 63 %")
     null = {"time_constant": 0.0}
     shapes = {"time_constant": (0.02, 0.06, 0.2)}
     resolved = {"time_constant": 0.5}  # Runge-Kutta 4 is stable up to 2.8 time constants a step
@@ -218,8 +220,8 @@ class AsymmetricLag(_AnyLag):
     each_input = True
     formula = "u_eff = m, dm/dt = (u - m) / (tau_rising if u > m else tau_falling)"
     source = "time constants up and down of motors in simulators (Furrer et al., RotorS, 2016)"
-    rising = Parameter(0.05, "s", low=0.002, help="time to reach 63 % of a higher input")
-    falling = Parameter(0.05, "s", low=0.002, help="time to reach 63 % of a lower input")
+    rising = Parameter(0.05, "s", low=_SHORTEST_S, help="time to reach 63 % of a higher input")
+    falling = Parameter(0.05, "s", low=_SHORTEST_S, help="time to reach 63 % of a lower input")
     null = {"rising": 0.0, "falling": 0.0}
     shapes = {"rising": (0.02, 0.06, 0.2), "falling": (0.02, 0.06, 0.2)}
     resolved = {"rising": 0.5, "falling": 0.5}
@@ -314,7 +316,7 @@ class ActuatorResonance(InputMemory):
     excludes = (Port.BODY_MOMENT,)  # motors follow by a lag
     # it may move as a recording begins: of a servo at 1.5 Hz a hidden mass did what that did
     estimated = True
-    period = Parameter(0.2, "s", low=0.002, scale=0.1, help="natural, without damping")
+    period = Parameter(0.2, "s", low=_SHORTEST_S, scale=0.1, help="natural, without damping")
     damping = Parameter(0.5, "1", low=0.005, high=1.0, scale=0.1, help="share of the critical one")
     null = {"period": 0.0}
     shapes = {"period": (8.0, 20.0, 60.0, 150.0), "damping": (0.1, 0.7)}

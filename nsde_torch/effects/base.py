@@ -54,6 +54,8 @@ def _copied(value: Any, memo: dict[int, Any]) -> Any:
     return copy.deepcopy(value, memo)
 
 
+PACE = "pace"
+"""Of the sizes of the data: what times that are usual for drives and vehicles are multiplied by."""
 STRICTLY = 1e-6
 """Share of its typical size by which a value is inside its bounds."""
 
@@ -293,7 +295,8 @@ class Effect(Parametrised, ABC):
     relative: ClassVar[Mapping[str, str]] = {}
     """Parameters whose `shapes` are multiples of a size of the data: `input`, `speed`, `rate` or `position` (95 %
     quantile of the absolute value that the effect sees), `step` (time between samples), or `spectrum` (frequencies are
-    taken from the data, `shapes` has none)."""
+    taken from the data, `shapes` has none). Other times [s], frequencies [Hz] and rates of an input [input/s] are
+    those of drives and vehicles, and of slower machines slower (`nsde_torch.data.pace`)."""
     ends: ClassVar[tuple[str, ...]] = ()  # `shapes` at whose lower bound it is another law, too
     states: ClassVar[int] = 0  # extra states, its memory, if their number is always the same
     resolved: ClassVar[Mapping[str, float]] = {}
@@ -383,10 +386,26 @@ class Effect(Parametrised, ABC):
         for name, values in cls.shapes.items():
             kind = cls.relative.get(name)
             size = 1.0 if kind in (None, "spectrum") else sizes[str(kind)]
+            size *= cls.paced(name, sizes)
             own = tuple(frequencies) if kind == "spectrum" else values
             grids.append([tuple(size * w for w in v) if isinstance(v, tuple) else size * v for v in own])
         points = product(*grids)
         return [cls._inside({**cls.null, **dict(zip(cls.shapes, point, strict=True))}) for point in points]
+
+    @classmethod
+    def paced(cls, name: str, sizes: Mapping[str, float]) -> float:
+        """Factor of the values of `shapes` in data of these sizes, by their pace: of times, frequencies and rates."""
+        return 1.0 if cls.relative.get(name) in ("step", "spectrum") else cls._of_pace(name, sizes)
+
+    @classmethod
+    def _of_pace(cls, name: str, sizes: Mapping[str, float]) -> float:
+        pace = sizes.get(PACE, 1.0)
+        return {"s": pace, "Hz": 1.0 / pace, "input/s": 1.0 / pace}.get(cls.PARAMETERS[name].unit, 1.0)
+
+    @classmethod
+    def fits_from(cls, sizes: Mapping[str, float]) -> list[dict[str, float]]:
+        """Values of `fitted_from` in data of these sizes."""
+        return [{k: v * cls._of_pace(k, sizes) for k, v in at.items()} for at in cls.fitted_from]
 
     @classmethod
     def at_null(cls) -> dict[str, float | list[float]]:

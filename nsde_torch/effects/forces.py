@@ -108,7 +108,7 @@ class HiddenMass(HiddenSwing, Law):
     formula = "-m y'', y'' = w^2 (q - y) + 2 d w (v - y'), w = 2 pi f"
     source = "the absorber of den Hartog, Mechanical Vibrations (1934)"
     mass = Size(0.1, "force s/speed", low=0.0, help="hidden mass (over mass, where forces are)")
-    frequency = Parameter(1.0, "Hz", low=0.05, high=20.0, scale=0.5, help="of it alone, the machine held")
+    frequency = Parameter(1.0, "Hz", low=0.0, scale=0.5, help="of it alone, the machine held")
     shapes = {"frequency": (0.5, 1.5, 4.5), "damping": (0.02, 0.2)}
     fitted_from = tuple({"frequency": 0.4 * 2.0 ** (0.5 * k)} for k in range(9))
     sentence = (

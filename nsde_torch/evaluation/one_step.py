@@ -241,7 +241,7 @@ def one_step(model: Model, runs: Sequence[Run]) -> dict[str, dict[str, Any]] | N
         physics = with_networks(physics, own)
     left = residuals(physics, vector.inside(vector.start), tuple(system.residual_ports))
     change = left.change
-    window = bump(left.dt)
+    window = bump(steps.dt, steps.pace)
     physics.estimate_sensors(change)
     laws = _laws(own, left) if own is not None and own.capabilities.is_stochastic else {}
     out = {}

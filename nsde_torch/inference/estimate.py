@@ -320,7 +320,7 @@ class LogLikelihood:
         x = about.x
         moved = space.error(x[over:], x[:-over]) - over * space.error(about.after[:-over], x[:-over])
         pushed = about.slopes[..., space.ne :].reshape(-1, space.ne, space.nd)
-        of_steps = moved.reshape(-1, space.ne), pushed, space.h
+        of_steps = moved.reshape(-1, space.ne), pushed, space.h, space.steps.pace
         return first_levels(torch.stack(fourths, -1), *of_steps, space.least_sensor), about
 
     @property

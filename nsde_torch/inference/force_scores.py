@@ -221,7 +221,9 @@ def _parts(at: Optimum) -> int:
     """Into how many blocks of time each chunk is parted."""
     chunks = at.of.space.chunks
     rows = int(chunks.counted.sum(0).max())
-    return max(1, min(-(-_BLOCKS // chunks.count), int(rows * at.of.space.h / _BLOCK_S)))
+    return max(
+        1, min(-(-_BLOCKS // chunks.count), int(rows * at.of.space.h / (_BLOCK_S * at.of.space.steps.pace)))
+    )
 
 
 def _moved(at: Optimum, columns: Tensor) -> Array:

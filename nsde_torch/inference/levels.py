@@ -35,7 +35,9 @@ class Levels:
         return torch.exp(-h / torch.exp(self.lasts))
 
 
-def first_levels(fourth: Tensor, moved: Tensor, pushed: Tensor, h: float, least: Tensor) -> Levels:
+def first_levels(
+    fourth: Tensor, moved: Tensor, pushed: Tensor, h: float, pace: float, least: Tensor
+) -> Levels:
     """Levels to start from.
 
     Args:
@@ -43,6 +45,7 @@ def first_levels(fourth: Tensor, moved: Tensor, pushed: Tensor, h: float, least:
         moved: What the physics leaves over ten steps (N, channels).
         pushed: What a unit of each disturbance does to these over one step (N, channels, d).
         h: The step [s].
+        pace: That of the machine (`nsde_torch.data.pace`).
         least: Logarithms of the least noise of the measured channels (m,): what arithmetic leaves.
     """
     sensor = torch.maximum(fourth.div(FOURTH).sqrt(), torch.exp(least).clamp_max(_LEAST))
@@ -50,5 +53,5 @@ def first_levels(fourth: Tensor, moved: Tensor, pushed: Tensor, h: float, least:
     push, left = pushed.square().mean(0).sqrt(), moved.square().mean(0).sqrt()[:, None]
     most = torch.where(push > _MOVES * push.amax(0), left / push, torch.inf).amin(0)
     size = most.nan_to_num(0.0, 0.0, 0.0) / _OVER + _LEAST
-    of_disturbances = 0.1 * size * h**0.5, 0.5 * size, torch.full_like(size, _GUST_S)
+    of_disturbances = 0.1 * size * h**0.5, 0.5 * size, torch.full_like(size, _GUST_S * pace)
     return Levels(torch.log(sensor), *map(torch.log, of_disturbances))

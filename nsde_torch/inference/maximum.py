@@ -91,8 +91,9 @@ def likeliest(
     # of a simulation without noise nothing is missing (tests/diagnosis/test_named.py)
     low[: len(space.least_sensor)].clamp_(min=space.least_sensor)
     high = torch.maximum(high, low)
-    high[-space.nd :].clamp_max_(log(LONGEST_S))
-    low[-space.nd :].clamp_min_(log(min(SHORTEST * space.h, 0.1 * LONGEST_S)))
+    longest = LONGEST_S * space.steps.pace
+    high[-space.nd :].clamp_max_(log(longest))
+    low[-space.nd :].clamp_min_(log(min(SHORTEST * space.h, 0.1 * longest)))
     phi = torch.minimum(torch.maximum(phi, low), high)
     at_once = _most(space)
     some = evenly(space.chunks.count, space.chunks.count if rows is None else _chunks_of(space, rows))

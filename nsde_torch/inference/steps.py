@@ -29,6 +29,7 @@ from nsde_torch.arrays import Array, Labels
 from nsde_torch.columns import by_column
 from nsde_torch.data import Run
 from nsde_torch.data.denoise import denoised
+from nsde_torch.effects.base import PACE
 from nsde_torch.effects.by_run import RUN
 from nsde_torch.effects.law import joined_name
 from nsde_torch.errors import DataError
@@ -65,6 +66,7 @@ class Steps:
     # `seen0`, `seen1` are then differences of the position over `rows` rows
     inferred: tuple[tuple[int, float], ...] = ()
     rows: int = 1  # rows of these differences
+    pace: float = 1.0  # that of the runs
 
     def __len__(self) -> int:
         return len(self.t)
@@ -143,7 +145,7 @@ def steps_of(
         raise _too_short(shortest, (b - 1 - a - lead for _, a, b in _stretches(runs)), runs[0].dt)
     if not (system.nz > system.nx if run_in is None else run_in):
         return _joined(system, runs, states, stretches, clock, unknown, differences)
-    most = max(1, round(RUN_IN_S / runs[0].dt))
+    most = max(1, round(RUN_IN_S * runs[0].pace / runs[0].dt))
     begun = [_run_in(runs[n], a, b, lead, most) for n, a, b in stretches]
     whole = zip(stretches, begun, strict=True)
     pairs = [(s, first, start) for s, (first, start) in whole if s[2] - 1 - start >= shortest]
@@ -227,7 +229,8 @@ def _joined(
     joined |= {key: by_column(joined[key]) for key in names if key != "t"}
     joined |= {key: system.project(joined[key]) for key in names if key not in ("t", "u")}
     joined |= {"segments": tuple(segments), "runs": tuple(owners), "inferred": tuple(inferred.items())}
-    return Steps(**joined, logged_dt=runs[0].dt, dt=runs[0].dt * clock, rows=max(rows, 1))
+    first = runs[0]
+    return Steps(**joined, logged_dt=first.dt, dt=first.dt * clock, rows=max(rows, 1), pace=first.pace)
 
 
 def _stretches(runs: Sequence[Run]) -> Iterator[_Stretch]:
@@ -262,7 +265,7 @@ def data_sizes(system: System, steps: Steps) -> dict[str, float]:
     def size(values: Tensor, share: float = 0.95, least: float = _LEAST) -> float:
         return (float(np.quantile(values.abs().numpy(), share)) if values.numel() else 1.0) or least
 
-    out = {"input": size(steps.u[:, : system.nu]), "step": steps.dt}
+    out = {"input": size(steps.u[:, : system.nu]), "step": steps.dt, PACE: steps.pace}
     out |= {kind: size(steps.x0[:, k]) for kind, k in _COLUMNS.items() if k < system.nx}
     out["least input"] = size(steps.u[:, : system.nu], _SELDOM, 0.0)
     each = torch.minimum((steps.u > 0).double().mean(0), (steps.u < 0).double().mean(0))[: system.nu]
@@ -549,7 +552,7 @@ class Chunks:
         # with states that no sensor measures, or not in each row, a filter remembers for longer
         slower = 2.0 if late or every > 1 else 1.0
         burn, length = (
-            int(slower * np.clip(round(seconds / h), *rows))
+            int(slower * np.clip(round(seconds * steps.pace / h), *rows))
             for seconds, rows in ((_BURN_S, _BURN), (_LENGTH_S, _LENGTH))
         )
         longest = max(b - a + 1 for a, b in steps.segments)
@@ -576,7 +579,8 @@ class Chunks:
         self.u, self.t = steps.u[self.row], steps.t[self.row]
         self.counted = torch.from_numpy(np.array(counted).T.copy())
         total = int(self.counted.sum()) * h
-        block = max(1, round(min(max(_BLOCK_S, 0.01 * total), total / _FEWEST_BLOCKS) / h))
+        shortest = max(_BLOCK_S * steps.pace, 0.01 * total)
+        block = max(1, round(min(shortest, total / _FEWEST_BLOCKS) / h))
         pieces = max(1, round(size / block))
         self.parts = [(size * p // pieces, size * (p + 1) // pieces) for p in range(pieces)]
         self.size, self.count = size, len(first)

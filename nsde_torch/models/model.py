@@ -312,11 +312,12 @@ def normal(shape: tuple[int, ...], generator: torch.Generator, like: Tensor) -> 
 def inputs_before(system: System, windows: "Windows", indices: Tensor) -> Tensor | None:
     """Inputs of the last `MEMORY_S` seconds before windows (B, K, nu), for `u_before` of `Model.sample`.
 
-    Windows are of the model's step. None where the system carries no memory: nothing would change.
+    Seconds are those of the usual pace, windows of the model's step. None where the system carries no memory: nothing
+    would change.
     """
     if system.nz == system.nx:
         return None
-    return windows.before(indices, max(1, ceil(MEMORY_S / windows.dt_model - 1e-9)))
+    return windows.before(indices, max(1, ceil(MEMORY_S * windows.pace / windows.dt_model - 1e-9)))
 
 
 def sampled(

@@ -161,7 +161,7 @@ def instead_of_effects(
     runs = found.runs
     pairs = [(common_name(positions), common_name(rates)) for positions, rates in pairs_of(system).values()]
     step = runs[0].dt
-    longest = min(_SENSOR_S / step, 0.1 * min(b - a for run in runs for a, b in run.segments))
+    longest = min(_SENSOR_S * runs[0].pace / step, 0.1 * min(b - a for run in runs for a, b in run.segments))
     if len(pairs) < 2 or longest < 1.0:  # no sensor is late by as much as a step
         return None
     unmoved = misfits(runs)

@@ -156,14 +156,14 @@ def check_runs(system: SystemInfo, runs: Sequence[Run]) -> None:
                 much = f"{share:.0%}" if share < 10.0 else "more than ten times"
                 raise DataError(
                     f"run {run.name!r}: {a!r} and {b!r} do not belong together: {b!r} leaves {much} of what {a!r} "
-                    f"changes by over {_OWN_S:g} s, and {np.median(others):.1%} in the other runs. One of the columns "
-                    "is of another run or another time: write the right one, or leave the run out."
+                    f"changes by over {_OWN_S * run.pace:.3g} s, and {np.median(others):.1%} in the other runs. "
+                    "One of the columns is of another run or another time: write the right one, or leave the run out."
                 )
 
 
 def _own_share(run: Run, i: int, j: int) -> tuple[float, float]:
     """Share of a position's changes that the integral of its rate leaves, and its size over that of the noise."""
-    n = max(4, round(_OWN_S / run.dt))
+    n = max(4, round(_OWN_S * run.pace / run.dt))
     gaps, moves, noise = [], [], 0.0
     for a, b in run.segments:
         p, v = run.x[a:b, i], run.x[a:b, j]

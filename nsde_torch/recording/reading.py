@@ -20,6 +20,7 @@ import numpy as np
 from nsde_torch.arrays import Array
 from nsde_torch.data import inputs, interventions, kinematics
 from nsde_torch.data.mapping.checks import together
+from nsde_torch.data.pace import at_their_pace
 from nsde_torch.data.raw import Finding, RawRun, Report
 from nsde_torch.data.readers import READERS, Kind, name_of, reader
 from nsde_torch.data.run import DataSet, Run
@@ -247,6 +248,7 @@ def assemble(
     if short:
         slopes += kinematics.clock_slopes(system, "short runs together", short, dt=step)
     _check_twins(runs, report)
+    runs = at_their_pace(runs)
     interventions.report_of(runs, report)
     standstill.check_constant(system, runs, report)
     columns.check_runs(system, runs)

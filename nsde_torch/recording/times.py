@@ -14,6 +14,7 @@ from math import inf
 import numpy as np
 
 from nsde_torch.arrays import Array, Labels
+from nsde_torch.data.pace import typical_time
 from nsde_torch.data.quaternion import slerp
 from nsde_torch.data.raw import Finding, RawRun, Report, holes
 from nsde_torch.data.run import DataSet, Run
@@ -32,6 +33,8 @@ _SMOOTHER = 20.0  # nats: noise of neighbouring rows is not independent
 LONGER = 1.5  # times the step of the log from which a step holds several rows
 FINEST_S = 0.005
 """Time into which rows of fast logs are taken together [s]: at 1 kHz a diagnosis had found nothing in 10 minutes."""
+_IN_A_TYPICAL_TIME = 60.0
+"""Rows that stay in a typical time of the states: a lag of 0.2 ms of a spring that moves in 6 ms was lost in 0.4 ms."""
 _ENOUGH = 1000
 """Rows that such a log keeps: a short one has no time to win (tests/diagnosis/test_not_done.py, 60 rows at 2 kHz)."""
 LONG = 1_500_000
@@ -343,7 +346,8 @@ def no_finer(data: DataSet, system: SystemInfo, most: float = inf) -> DataSet:
 
     And into `most` [s]: of a spring that oscillates at 160 Hz, logged at 5 kHz, nothing was found in rows of 4.8 ms.
     """
-    fit = int(min(FINEST_S, most) / (data.dt * data.clock_scale) + _ROUNDED)
+    most = min(most, FINEST_S * data.runs[0].pace, typical_time(data.runs) / _IN_A_TYPICAL_TIME)
+    fit = int(most / (data.dt * data.clock_scale) + _ROUNDED)
     every = min(fit, sum(len(run) for run in data.runs) // _ENOUGH)
     if every < LONGER:
         return data
@@ -371,8 +375,8 @@ def no_longer(data: DataSet, system: SystemInfo, most: float) -> DataSet:
 def _thinned(run: Run, share: float) -> Run:
     """A run with that share of its rows, or with a few seconds of it if that is longer."""
     used = np.concatenate([np.arange(a, b) for a, b in run.segments])
-    few = min(max(share * len(used), _SHORTEST_S / run.dt), len(used))
-    count = max(1, round(few * run.dt / _STRETCH_S))
+    few = min(max(share * len(used), _SHORTEST_S * run.pace / run.dt), len(used))
+    count = max(1, round(few * run.dt / (_STRETCH_S * run.pace)))
     firsts = np.linspace(0, len(used) - few / count, count).round().astype(int)
     at = np.concatenate([used[first : first + max(int(few / count), 2)] for first in firsts])
     last = np.zeros(len(run), dtype=bool)

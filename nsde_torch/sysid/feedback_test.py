@@ -362,7 +362,7 @@ def _answers_of(
 ) -> tuple[tuple[Answer, ...], float]:
     """Every answer, and the chance of all own ones together."""
     new = own_innovations(driven, past)
-    rows = max(1, min(_ANSWERS, round(_ANSWER_S / regression.dt)))
+    rows = max(1, min(_ANSWERS, round(_ANSWER_S * regression.pace / regression.dt)))
     live = past[0] & signals.late(series, rows)
     nothing = np.zeros((int(live.sum()), 0))
     of_channel = []
@@ -447,7 +447,7 @@ def _knowledge_of(
     regression: Regression, errors: Array, ways: Sequence[Direction], driven: Array, series: Series
 ) -> tuple[Answer, ...]:
     """What inputs at and before a step predict of the innovations of each channel that they drive."""
-    rows = max(2, min(_KNOWN, round(_KNOWN_S / regression.dt)))
+    rows = max(2, min(_KNOWN, round(_KNOWN_S * regression.pace / regression.dt)))
     live = signals.late(series, rows + 1)
     found, fitted = [], dict[int, Array]()
     for j, way in enumerate(ways):

@@ -36,6 +36,7 @@ CHANCE = 1e-3  # chance of calling two fits of a sound log different
 MORE = 0.1
 """Share of a channel's variance that least squares must explain beyond the fit, beside that: what the physics lacks
 biases both, and not alike."""
+KNOWN = 0.5  # share of what is left, up to which that is known to be none of the noise
 SOME = 0.95  # times what was measured that least squares leave where they explain something
 TIMES = 2.0
 """Or times what least squares leave that the fit leaves: how much of the rest they explain, where the rest is small."""
@@ -164,7 +165,8 @@ def guarded(
             max(one.left**2 - made**2, 0.0) ** 0.5
             for one, made in zip((c, s, f), noise.tolist(), strict=True)
         )
-        left = of_fit, of_squares, of_first
+        # of a cylinder noise made all that least squares left of the path, and 1 % of it spoke against the right fit
+        left = of_fit, max(of_squares, KNOWN * s.left), of_first
         channels.append(Compared(c.name, per_second(c.unit), c.measured, *left, smaller, s.noise))
     objections, notes = _faults(system, runs, clock, rough, regression)
     chance = _chance(rough, theta, covariance)
@@ -302,9 +304,10 @@ def asks_for_longer_boxes(guard: Guarded | None) -> bool:
 def of_longer_boxes(box_s: float, guard: Guarded) -> str:
     """What was done, and the remedy, for a person."""
     why = "; ".join(o.sentence for o in guard.objections)
+    longest = LENGTHS_S[1] / LENGTHS_S[0] * box_s
     return (
         f"means over {box_s:.3g} s are fitted: nothing speaks against these; over shorter ones, {why}; intervals are "
-        f"widened by what changes with means over {LENGTHS_S[1]:.3g} s. The states may have been smoothed or filtered "
+        f"widened by what changes with means over {longest:.3g} s. The states may have been smoothed or filtered "
         "before they were logged, or something that acts is not declared: log raw sensors; `nsde diagnose` names "
         "effects"
     )

@@ -103,7 +103,7 @@ def identify_in_loop(
     found = over(None)
     if method != "weak":
         return found
-    found = in_longer_boxes(found, over)
+    found = in_longer_boxes(found, over, runs[0].pace)
     by, loop = found.instrumented, found.loop
     if not likelihood or (by is not None and loop is not None and adopted(by, loop)):
         return found
@@ -161,9 +161,11 @@ def _by_instruments(
     return (held if better >= 0 else other), apart
 
 
-def in_longer_boxes(found: Identification, again: Callable[[float], Identification]) -> Identification:
+def in_longer_boxes(
+    found: Identification, again: Callable[[float], Identification], pace: float
+) -> Identification:
     """An identification in longer boxes where its guard asks for it and accepts that one; else as it is."""
-    first, second = LENGTHS_S
+    first, second = (pace * seconds for seconds in LENGTHS_S)
     if not asks_for_longer_boxes(found.guard) or first < LONGER * found.box_s:
         return found
     try:
@@ -285,7 +287,7 @@ def identification(regression: Regression, method: str, *, standstill: float = 0
     vector, physics, steps = regression.vector, regression.physics, regression.physics.steps
     sure, blocks = regression.spread(), regression.blocks
     known = regression.shown
-    basis, window = known.basis, bump(steps.dt)
+    basis, window = known.basis, bump(steps.dt, steps.pace)
     left = physics.residual(regression.theta)[:, regression.rows]
     alone = explained(physics, left + regression.shift(sure.parts @ basis.T, blocks), regression.rows, window)
     channels = explained(physics, left, regression.rows, window)

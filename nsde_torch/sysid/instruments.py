@@ -363,7 +363,7 @@ def _features(regression: Regression, names: Sequence[str]) -> Array:
     z = (z - z.mean(0)) / np.maximum(z.std(0), 1e-300)
     parts = [np.ones((len(z), 1)), *(regression.series.shifted(z, -rows) for rows in _ROWS)]
     for lag in _LAGS_S:
-        fade = float(np.exp(-regression.dt / lag))
+        fade = float(np.exp(-regression.dt / (lag * regression.pace)))
         held = np.zeros_like(z)
         for a, b in regression.series.edges:
             held[a:b] = lfilter([1.0 - fade], [1.0, -fade], z[a:b], axis=0)

@@ -161,8 +161,9 @@ class _Fits:
         system, best = self._system, -math.inf
         if self._near is None:
             return best
+        sizes = self._near.of.sizes
         for name, effect in system.able_effects().items():
-            for values in effect.fitted_from if name not in system.effect_names else ():
+            for values in effect.fits_from(sizes) if name not in system.effect_names else ():
                 with suppress(*_UNFIT):
                     beside = system.with_effects(system.make_effect(name, dict(values)))
                     found = nearly_maximised(self._near.of.of(beside), self._near)[0]

@@ -39,7 +39,7 @@ from nsde_torch.arrays import Array, Labels
 from nsde_torch.columns import join_columns, split_columns, take_rows
 from nsde_torch.data.system_info import rate_pairs
 from nsde_torch.effects import Port
-from nsde_torch.inference.steps import Steps, data_sizes, memory_along, memory_as_measured
+from nsde_torch.inference.steps import Steps, data_sizes, memory_along, memory_as_measured, memory_moves
 from nsde_torch.rotation import rotate_back, rotation_between
 from nsde_torch.sde.exponential import exponentials, is_stiff, jacobians, stiff_change
 from nsde_torch.sysid.noise import Noise
@@ -254,8 +254,14 @@ class Physics:
         self.vector.use(theta)
         system, s = self.vector.system, self.steps
         if self.is_stiff(theta):  # what was measured after a step says nothing of the way there
-            held = (0.5 * (memory[0] + memory[1]),) if memory else ()
-            return stiff_change(self._with_memory(torch.arange(len(s)), held), s.x0, s.dt)
+            every = torch.arange(len(s))
+            if not memory:
+                return stiff_change(self._with_memory(every, ()), s.x0, s.dt)
+            # what settles within a row follows what memory does in it
+            mean, moves = 0.5 * (memory[0] + memory[1]), memory[1] - memory[0]
+            moves = torch.where(moves == 0.0, memory_moves(system, s)[0], moves)
+            first, last = (self._with_memory(every, (mean + k * moves,))(s.x0) for k in (-0.5, 0.5))
+            return stiff_change(self._with_memory(every, (mean,)), s.x0, s.dt, turns=last - first)
         z0, z1 = s.x0, s.x1
         if memory:
             z0, z1 = join_columns((z0, memory[0])), join_columns((z1, memory[1]))
@@ -417,9 +423,9 @@ class Channel:
         }
 
 
-def bump(dt: float) -> Array:
-    """The test function over steps of `dt` [s], of sum 1."""
-    n = max(FEWEST, round(BUMP_S / dt))
+def bump(dt: float, pace: float = 1.0) -> Array:
+    """The test function over steps of `dt` [s], of sum 1, for machines of a pace (`nsde_torch.data.pace`)."""
+    n = max(FEWEST, round(BUMP_S * pace / dt))
     window = np.hanning(n + 2)[1:-1]
     return np.asarray(window / window.sum())
 

@@ -192,9 +192,9 @@ class Regression:
         self.vector = physics.vector
         self.single = Series(physics.steps.segments)
         self.series = self.single.boxes(box)
-        self.dt = physics.steps.dt * box
+        self.dt, self.pace = physics.steps.dt * box, physics.steps.pace
         most = min(_ORDERS, max(len(self.series) // 50, 2))
-        self.orders = int(np.clip(round(_ORDERS_S / self.dt), 2, most))
+        self.orders = int(np.clip(round(_ORDERS_S * self.pace / self.dt), 2, most))
         self.memory = memory_s / self.dt  # rows after which noise forgets
         if levels:
             owner = self.whitened_rows(self.owners)
@@ -372,7 +372,7 @@ class Regression:
     def blocks(self) -> Labels:
         """Block of time of each row of `series` (M,)."""
         total = len(self.series) * self.dt
-        length = float(np.clip(total / _BLOCKS, *_BLOCK_S))
+        length = self.pace * float(np.clip(total / self.pace / _BLOCKS, *_BLOCK_S))
         return self.series.blocks(max(1, round(min(length, total / 20) / self.dt)))
 
     def spread(self) -> Spread:
@@ -462,18 +462,18 @@ def regression_of(
         raise ConfigError(f"`method` must be {' or '.join(METHODS)}; got {method!r}.")
     weak = method == "weak"
     vector = ParameterVector(system)
-    box = _box(width, runs[0].dt * clock) if runs else 1
+    box = _box(width, runs[0].dt * clock, runs[0].pace) if runs else 1
     steps = steps_of(system, runs, clock=clock, smooth=not weak, shortest=box, differences=box if weak else 0)
     physics = Physics(vector, steps, curved=weak and system.sensor_noise, foresee=weak)
     return Regression(physics, box=box, start=start, plain=not weak, feedback=weak)
 
 
-def _box(width: float | None, dt: float) -> int:
+def _box(width: float | None, dt: float, pace: float) -> int:
     if width is not None and round(width / dt) < 1:
         raise ConfigError(
             f"`model.width` must be a step of the data ({dt:.4g} s) or longer; got {width:g} s."
         )
-    return max(1, int(_BOX_S / dt + 1e-6)) if width is None else round(width / dt)
+    return max(1, int(_BOX_S * pace / dt + 1e-6)) if width is None else round(width / dt)
 
 
 # ---- narrow shapes -------------------------------------------------------------------------------------

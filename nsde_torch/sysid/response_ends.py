@@ -28,6 +28,7 @@ from scipy.signal import csd
 
 from nsde_torch.arrays import Array, Mask
 from nsde_torch.data import Run
+from nsde_torch.inference.steps import Steps
 from nsde_torch.recording.smoothers import FAMILIES, Smoother
 from nsde_torch.sysid.rough import beginnings, rough_fit
 from nsde_torch.systems import System
@@ -112,16 +113,16 @@ def ends_of_response(
             for c in driven
             if (beside[:, c] - measured[:, c]).std() > _FELT * beside[:, c].std()
         ]
-        spectra = [found for part in parts if (found := _cross_spectra(part, steps.dt)) is not None]
-        out.append(_end(spectra, steps.dt) if spectra else None)
+        spectra = [found for part in parts if (found := _cross_spectra(part, steps)) is not None]
+        out.append(_end(spectra, steps) if spectra else None)
     return out
 
 
-def _cross_spectra(parts: Sequence[tuple[Array, Array]], dt: float) -> CrossSpectra | None:
-    longest = max(len(y) for _, y in parts)
+def _cross_spectra(parts: Sequence[tuple[Array, Array]], steps: Steps) -> CrossSpectra | None:
+    dt, longest = steps.dt, max(len(y) for _, y in parts)
     if longest < _SHORTEST:
         return None
-    rows = min(2 ** int(np.ceil(np.log2(_WINDOW_S / dt))), 2 ** int(np.log2(longest // 3)))
+    rows = min(2 ** int(np.ceil(np.log2(_WINDOW_S * steps.pace / dt))), 2 ** int(np.log2(longest // 3)))
     rows = max(rows, _SHORTEST)
     f, total, count = np.empty(0), np.zeros((3, rows // 2 + 1), dtype=np.complex128), 0
     for r, y in parts:
@@ -137,10 +138,11 @@ def _cross_spectra(parts: Sequence[tuple[Array, Array]], dt: float) -> CrossSpec
     return CrossSpectra(f[_KEPT], both, inputs.real, np.maximum(seen.real, 1e-300), _EFFECTIVE * count)
 
 
-def _end(channels: Sequence[CrossSpectra], dt: float) -> Smoother | None:
-    f = channels[0].f
-    lags = [(n, lag) for n, lag in product((1, 2), _LAGS_S) if n == 1 or 0 < n * lag <= _LAGS_S[-1]]
-    delays = np.arange(0.0, _LATEST_S + 1e-9, max(0.5 * dt, 0.005))
+def _end(channels: Sequence[CrossSpectra], steps: Steps) -> Smoother | None:
+    f, dt, pace = channels[0].f, steps.dt, steps.pace
+    every = [(n, lag) for n, lag in product((1, 2), _LAGS_S) if n == 1 or 0 < n * lag <= _LAGS_S[-1]]
+    lags = [(n, pace * lag) for n, lag in every]
+    delays = np.arange(0.0, pace * (_LATEST_S + 1e-9), max(0.5 * dt, 0.005 * pace))
     turn = 2j * np.pi * f
     actuators = np.array(
         [_delayed(turn, delay, dt) / (1.0 + turn * lag) ** n for (n, lag), delay in product(lags, delays)]

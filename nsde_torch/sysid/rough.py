@@ -47,7 +47,7 @@ def rough_fit(
     Starts from theta (k,), or the system's values. With `levels`, steady pushes are left out: the mean of each channel
     over each run.
     """
-    box = max(_FEWEST, round(MEANS_S / (runs[0].dt * clock)))
+    box = max(_FEWEST, round(MEANS_S * runs[0].pace / (runs[0].dt * clock)))
     vector = ParameterVector(copy.deepcopy(system))
     try:
         steps = steps_of(vector.system, runs, clock=clock, shortest=box, differences=0)
@@ -155,11 +155,11 @@ def share_left(rough: Regression) -> float:
 def beginnings(runs: Sequence[Run], clock: float, *, seconds: float, fewest: int) -> list[Run]:
     """Runs of which the beginning of the longest stretch is left, for fits that are compared with each other.
 
-    All together they last so many `seconds`, each of at least the `fewest` rows.
+    All together they last so many `seconds` at the usual pace, each of at least the `fewest` rows.
     """
     out = []
     for run in runs:
         a, b = max(run.segments, key=lambda s: s[1] - s[0])
-        rows = max(fewest, round(seconds / len(runs) / (run.dt * clock)))
+        rows = max(fewest, round(seconds * run.pace / len(runs) / (run.dt * clock)))
         out.append(replace(run, segments=((a, min(b, a + rows)),)))
     return out

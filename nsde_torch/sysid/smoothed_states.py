@@ -441,8 +441,8 @@ def _nats(regression: Regression, sensors: Sequence[SensorGroup], smoother: Smoo
             total -= seen.windows * float(np.log(seen.power)[:, band].sum())
         return total
 
-    delays = 0.5 * steps.dt * np.arange(int(2.0 * LATEST_S / steps.dt) + 1)
-    late = [(lag, delay) for lag in LAGS_S for delay in delays.tolist()]
+    delays = 0.5 * steps.dt * np.arange(int(2.0 * LATEST_S * steps.pace / steps.dt) + 1)
+    late = [(steps.pace * lag, delay) for lag in LAGS_S for delay in delays.tolist()]
     with_it, without = (max(likelihood(behind, *one) for one in late) for behind in (smoother, None))
     return with_it - without
 

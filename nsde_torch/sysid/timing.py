@@ -39,6 +39,7 @@ class Shifted:
 
     stream: str  # what is shifted, by the names of its columns
     seconds: float  # by how much it is logged late; early, if negative [s]
+    pace: float  # that of the machine (`nsde_torch.data.pace`)
     gain: float  # by how much L falls when it is moved back
     inputs: bool  # whether it is the inputs: then early means that they act later than they were logged
     against: tuple[str, ...] = ()  # channels of which the physics leaves more when the stream is moved
@@ -47,7 +48,7 @@ class Shifted:
     @property
     def of_actuators(self) -> bool:
         """Whether a lag or a delay of actuators does the same."""
-        return self.inputs and -ACTUATOR_S < self.seconds < 0
+        return self.inputs and -ACTUATOR_S * self.pace < self.seconds < 0
 
     @property
     def objection(self) -> Objection:
@@ -88,6 +89,8 @@ def _best(
     system: System, runs: Sequence[Run], clock: float, rough: Regression, stream: tuple[str, list[int]]
 ) -> Shifted | None:
     dt, (name, states) = runs[0].dt * clock, stream
+    pace = runs[0].pace
+    step = STEP_S * pace
 
     @cache
     def shares(seconds: float) -> dict[str, float]:
@@ -104,15 +107,15 @@ def _best(
 
     middle = 0.0
     while True:
-        before, here, after = score(middle - STEP_S), score(middle), score(middle + STEP_S)
-        if here <= min(before, after) or abs(middle) >= MOST_S:
+        before, here, after = score(middle - step), score(middle), score(middle + step)
+        if here <= min(before, after) or abs(middle) >= MOST_S * pace:
             break
-        middle += STEP_S if after < before else -STEP_S
+        middle += step if after < before else -step
     bend = before + after - 2.0 * here
     if not (np.isfinite(bend) and bend > 0):
         return None
-    best = middle + 0.5 * STEP_S * (before - after) / bend
-    if abs(best) < max(LEAST_S, dt):
+    best = middle + 0.5 * step * (before - after) / bend
+    if abs(best) < max(LEAST_S * pace, dt):
         return None
     gain = score(0.0) - min(score(best), here)
     if not gain > GAIN:
@@ -120,7 +123,7 @@ def _best(
     there = shares(round(best if score(best) < here else middle, 6))
     against = tuple(c for c, left in shares(0.0).items() if there.get(c, left) > left + _WORSE)
     smoothed = tuple(sorted({state for run in runs for state in run.band}))
-    return Shifted(name, best, gain, not states, against, smoothed)
+    return Shifted(name, best, pace, gain, not states, against, smoothed)
 
 
 def _mover(system: System, rows: float, states: list[int]) -> Callable[[Run], Run]:

@@ -10,7 +10,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping, Sequence
 from functools import partial
 from itertools import accumulate
-from math import ceil
 from typing import Any, ClassVar
 
 import numpy as np
@@ -42,7 +41,7 @@ from nsde_torch.systems.vocabulary import given, vocabulary
 
 MEMORY_S = 0.5
 """Time before a start that inputs are taken from [s]: ten time constants of motors; four fifths of one of 0.3 s."""
-_FINE_S = 0.005  # steps of memory that is not exact over whole ones
+_PARTS = 10  # of a step, of memory that is not exact over whole ones
 
 
 class System(Parametrised, ABC):
@@ -408,7 +407,7 @@ class System(Parametrised, ABC):
                 f"{tuple(u_before.shape)}."
             )
         memory = split_columns(self.augment(x, u_before[:, 0]), self.nx, self.nz - self.nx)[1]
-        parts = 1 if self.whole_steps else ceil(dt / _FINE_S)
+        parts = 1 if self.whole_steps else _PARTS
         h, before = dt / parts, self.step
         self.set_step(h)
         try:

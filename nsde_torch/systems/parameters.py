@@ -203,15 +203,17 @@ class ParameterVector:
         has come as far goes on (`nsde_torch.sysid.regression`).
         """
         for place, effect, own in self._of_effects():
-            size = sizes.get(effect.relative.get(own, ""), 0.0)
+            kind, per = effect.relative.get(own), effect.paced(own, sizes)
+            self.scale[place.columns] *= per
+            size = sizes.get(kind or "", 0.0) * per
             if size:  # of a spring that is driven by 1e-7 N a saturation was three laws
                 self.scale[place.columns] = _near(self.scale[place.columns], size)
             if own in effect.null or own not in effect.shapes:
                 continue
-            kind, grid = effect.relative.get(own), np.asarray(effect.shapes[own], dtype=np.float64)
+            grid = np.asarray(effect.shapes[own], dtype=np.float64)
             if not grid.size or (grid.min() <= 0 if kind is None else kind not in sizes):
                 continue
-            size = 1.0 if kind is None else sizes[kind]
+            size = per * (1.0 if kind is None else sizes[kind])
             if grid.min() <= 0:
                 # a place: a stop at -113 m, beyond all data, was a tilt and a damping of a cart
                 self.low[place.columns] = np.maximum(self.low[place.columns], -_OUTSIDE * size)

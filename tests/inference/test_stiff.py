@@ -11,6 +11,7 @@ from nsde_torch.diagnosis.joint_selection import fitted_at
 from nsde_torch.effects import Port
 from nsde_torch.inference import LogLikelihood
 from nsde_torch.sde.exponential import exponentials, stiff_change
+from nsde_torch.sysid.regression import regression_of
 from tests.helpers.electric_motors import BACK, DRAG, PULL, CoilMotor, turns
 from tests.helpers.heated_plates import Plate, heated
 from tests.inference.springs import rubbing, small_runs, spring
@@ -77,6 +78,10 @@ def test_what_acts_late_before_a_node_that_settles_within_a_row_is_as_late_as_it
     found = dict(zip(best.vector.labels, best.theta, strict=True))
     error = np.sqrt(np.diag(best.spread.covariance))[best.vector.labels.index(f"{effect}.{label}")]
     assert abs(found[f"{effect}.{label}"] - late) < 3.0 * error + 0.02 * late
+    regression = regression_of(
+        best.vector.at(best.theta), runs
+    )  # the regression leaves little more than noise there
+    assert regression.physics.residual(best.theta)[:, 0].std() < 0.035
 
 
 def test_a_model_of_it_predicts() -> None:

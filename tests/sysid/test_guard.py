@@ -150,7 +150,7 @@ def test_inputs_that_act_as_late_as_actuators_do_are_a_note_and_others_an_object
     (objection,) = guard_of("cartpole", late(7)).objections
     assert objection.sentence.startswith("force act about 1")
     assert "later than they are logged" in objection.sentence
-    assert not Shifted("u", 0.05, 1.0, True).of_actuators
+    assert not Shifted("u", 0.05, 1.0, 1.0, True).of_actuators
 
 
 LOADED = {"force_gain": 0.6, "linear_spring.stiffness": 0.6, "viscous_friction.damping": 0.3}

@@ -709,12 +709,16 @@ class JointSearch:
         looked = dict(before)
         few = self._in_few_rows(_ROWS)
         exchanged, kept = 0, set[str]()  # those needed beside all others as they are now
+        beside = set[str]()  # those that were looked at beside all of these
         while left := [n for n in place.system.effect_names if n not in {*self._declared, *kept}]:
             name = left[0]
             self.search.say(f"looking again at {name}", len(kept), len(kept) + len(left))
             inside = few is not None and few.needed_here(name, place)
             if not inside and not self.needed(name, place, without := self.without(place, name)):
                 place, kept = without, set()  # what was added after it explains what it did
+                # beside a viscoelasticity that was not needed a dead band of a motor that turns one way had no tie
+                looked = {n: one for n, one in looked.items() if n not in beside}
+                beside = set()
                 continue
             if name not in looked:
                 may = exchanged < self.search.budgets.exchanges
@@ -726,6 +730,7 @@ class JointSearch:
                     place, kept, exchanged = instead.better, set(), exchanged + 1
                     continue
                 looked[name] = instead
+                beside.add(name)
             kept.add(name)
         return place, {n: looked[n] for n in place.system.effect_names if n in kept}
 

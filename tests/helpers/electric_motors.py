@@ -50,11 +50,18 @@ class CoilMotor(System):
 
 
 def turns(
-    seed: int, decay: float, *, friction: float = 0.0, ripple: float = 0.02, seconds: float = 20.0
+    seed: int,
+    decay: float,
+    *,
+    friction: float = 0.0,
+    ripple: float = 0.02,
+    seconds: float = 20.0,
+    late: int = 0,
 ) -> DataSet:
     """Three runs whose current settles in 1 / decay [s].
 
-    With a dry friction [rad/s2] of tanh, and a ripple of the voltage [V] that nobody logs.
+    With a dry friction [rad/s2] of tanh, a ripple of the voltage [V] that nobody logs, and a voltage that acts so many
+    fifths of a row late.
     """
     rng, t, raw = np.random.default_rng(seed), 0.01 * np.arange(round(seconds / 0.01)), []
 
@@ -67,7 +74,9 @@ def turns(
     for number in range(3):
         waves = np.sin(np.outer(t, 2 * np.pi * rng.uniform(0.1, 2.5, 7)) + rng.uniform(0.0, 6.0, 7)).sum(1)
         u = 0.7 * waves + np.repeat(rng.choice((-1.0, 1.0), len(t) // 90 + 1), 90)[: len(t)]
-        how = {"noise": (*_NOISE, 0.0, 0.0), "kick": kick, "rng": rng, "fine": 20}
-        run = simulated(number, rates, np.zeros(5), u[:, None], 0.01, **how)
-        raw.append(replace(run, x=run.x[:, :3]))
+        parts = 5 if late else 1
+        how = {"noise": (*_NOISE, 0.0, 0.0), "kick": kick, "rng": rng, "fine": 20 // parts}
+        acts = np.repeat(u, parts)[(np.arange(parts * len(u)) - late).clip(0), None]
+        run = simulated(number, rates, np.zeros(5), acts, 0.01 / parts, **how)
+        raw.append(replace(run, t=run.t[::parts], x=run.x[::parts, :3], u=u[:, None]))
     return assemble(raw, CoilMotor(), kind="simulated")

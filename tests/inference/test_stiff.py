@@ -84,6 +84,18 @@ def test_what_acts_late_before_a_node_that_settles_within_a_row_is_as_late_as_it
     assert regression.physics.residual(best.theta)[:, 0].std() < 0.035
 
 
+def test_a_fit_follows_a_ridge_that_bends() -> None:
+    # of a current that settles within a row and a voltage that is late by a part of one data show the sum of the times
+    runs, decay = turns(6, 1000.0, late=3).runs, 2500.0
+    start = {"pull": PULL, "drag": DRAG, "fast": decay, "decay": decay, "back": decay * BACK}
+    machine = CoilMotor(values=start)
+    machine = machine.with_effects(machine.make_effect("input_delay", {"delay": 0.0066}))
+    best = fitted_at(LogLikelihood(machine, runs, 1.0), machine, None).best
+    found = dict(zip(best.vector.labels, best.theta, strict=True))
+    assert found["input_delay.delay"] == pytest.approx(0.006, abs=1e-4)
+    assert found["decay"] == pytest.approx(1000.0, rel=0.1)
+
+
 def test_a_model_of_it_predicts() -> None:
     data = turns(4, 1000.0)
     model = nsde_torch.train(data, system=CoilMotor, model="sysid", say=False)

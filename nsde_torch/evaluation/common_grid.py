@@ -1,6 +1,6 @@
 """Models to compare, and the starts and horizons that all of them can be scored at.
 
-Starts are those of the grid of the runs (every 0.25 s) from which the longest window of every model fits in its
+Starts are those of the grid of the runs (`start_every`) from which the longest window of every model fits in its
 stretch. A horizon that is no whole number of a model's steps is scored at the nearest step, against the truth there.
 """
 
@@ -18,7 +18,7 @@ from torch import Tensor
 from nsde_torch.data import DataSet, Run, Windows
 from nsde_torch.data.interventions import interventional, longest_stretch
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
-from nsde_torch.evaluation.metrics import HORIZONS, horizons_of, start_grid, thinned, windows_of
+from nsde_torch.evaluation.metrics import all_horizons, horizons_of, start_grid, thinned, windows_of
 from nsde_torch.evaluation.report import lookahead
 from nsde_torch.evaluation.scores import BASELINES
 from nsde_torch.evaluation.seen import SeenRuns
@@ -132,10 +132,10 @@ def common_horizons(
         wanted = list(horizons_of(runs, dt))
         if not wanted:
             raise DataError(
-                f"the runs ({', '.join(run.name for run in runs[:5])}) are too short for a horizon of 0.1 s; "
+                f"the runs ({', '.join(run.name for run in runs[:5])}) are too short for the shortest horizon; "
                 "evaluate on longer ones."
             )
-        short = [f"{h:g}" for h in HORIZONS if h < 0.99 * dt]
+        short = [f"{h:g}" for h in all_horizons(runs[0].pace, dt) if h < 0.99 * dt]
         if short:
             notes.append(note(f"{', '.join(short)} s left out: below the step of {coarsest.name}, {dt:g} s"))
     else:

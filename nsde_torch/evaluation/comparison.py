@@ -52,7 +52,7 @@ from nsde_torch.evaluation.common_grid import (
     common_horizons,
     note,
 )
-from nsde_torch.evaluation.metrics import START_EVERY, summary
+from nsde_torch.evaluation.metrics import start_every, summary
 from nsde_torch.evaluation.one_step import one_step
 from nsde_torch.evaluation.report import listed
 from nsde_torch.evaluation.scores import LEVELS, PARTICLES, Scores, baseline_squares, rms_by_group, score
@@ -176,7 +176,7 @@ def compare(
         "seed": seed,
         "particles": particles,
         "starts": len(index),
-        "start_every_s": None if interventional(runs) else max(1, round(START_EVERY / data.dt)) * data.dt,
+        "start_every_s": None if interventional(runs) else start_every(runs[0].pace, data.dt),
         "horizons_s": wanted,
         "units": {
             **dict.fromkeys(("errors", "spread", "crps", "differences"), units),
@@ -303,7 +303,7 @@ def _differences(
 ) -> dict[str, Any]:
     """Each further model and each baseline against the first model."""
     index, t = places
-    length = max(bootstrap.BLOCK_S, 2.0 * grids[0].times[-1])
+    length = max(bootstrap.BLOCK_S * grids[0].windows.pace, 2.0 * grids[0].times[-1])
     blocks = make_blocks(index, t, length=length)
     every = torch.arange(len(index))
     others = [

@@ -68,7 +68,7 @@ class Coverage:
         dt = model.spec.dt
         self.steps = [max(1, round(h / dt)) for h in horizons_of(runs, dt)]
         if not self.steps:
-            raise DataError("no run is long enough for a horizon of 0.1 s.")
+            raise DataError("no run is long enough for the shortest horizon.")
         self.windows = windows_of(model, runs, self.steps[-1])
         self.starts = thinned(start_grid(self.windows), _STARTS)
         if len(self.starts) == 0:

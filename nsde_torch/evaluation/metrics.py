@@ -18,21 +18,40 @@ from nsde_torch.evaluation.one_step import one_step
 from nsde_torch.evaluation.scores import LEVELS, PARTICLES, Scores, baseline_squares, rms_by_group, score
 from nsde_torch.models.model import Model
 
-HORIZONS = (0.1, 0.25, 0.5, 1.0, 2.0)
-START_EVERY = 0.25
+_HORIZONS = (0.1, 0.25, 0.5, 1.0, 2.0)
+_START_EVERY = 0.25
+_COARSEST = 0.5  # step up to which these are not longer
 MOST_STARTS = 2000
 
 
+def decade(pace: float, dt: float) -> float:
+    """Power of ten that horizons are multiplied by of machines of a pace (`nsde_torch.data.pace`) and a step dt [s].
+
+    The model of a reactor that is logged every 5 s was refused: no run was long enough for 0.1 s.
+    """
+    return float(10.0 ** max(int(math.log10(pace)), math.ceil(math.log10(dt / _COARSEST) - 1e-9)))
+
+
+def all_horizons(pace: float, dt: float) -> list[float]:
+    """0.1, 0.25, 0.5, 1 and 2 s, and for slower machines ten times as long and so on."""
+    return [float(f"{h * decade(pace, dt):.3g}") for h in _HORIZONS]
+
+
 def horizons_of(runs: Sequence[Run], dt: float) -> tuple[float, ...]:
-    """Those of 0.1, 0.25, 0.5, 1 and 2 s that are not below a step and fit in the longest stretch."""
+    """Those of `all_horizons` that are not below a step and fit in the longest stretch."""
     # a regular grid of starts needs room to lie in; an intervention is where it is
     room = longest_stretch(runs) - (-1e-6 if interventional(runs) else dt)
-    return tuple(h for h in HORIZONS if h <= room and h >= 0.99 * dt)
+    return tuple(h for h in all_horizons(runs[0].pace, dt) if h <= room and h >= 0.99 * dt)
+
+
+def start_every(pace: float, dt: float) -> float:
+    """Distance of starts [s]: 0.25 s, of slower machines ten times that and so on, as a whole number of data steps."""
+    return max(1, round(_START_EVERY * decade(pace, dt) / dt)) * dt
 
 
 def start_grid(windows: Windows) -> Tensor:
-    """Window numbers of the starts: every 0.25 s, or the nearest whole number of data steps; or the interventions."""
-    return windows.starts(max(1, round(START_EVERY / windows.dt)) * windows.dt)
+    """Window numbers of the starts, at distances of `start_every`; or the interventions."""
+    return windows.starts(start_every(windows.pace, windows.dt))
 
 
 def thinned(starts: Tensor, most: int = MOST_STARTS) -> Tensor:
@@ -76,7 +95,8 @@ def evaluate(
     dt = model.spec.dt
     horizons = horizons_of(runs, dt)
     if not horizons:
-        raise DataError("no run is long enough for a horizon of 0.1 s; evaluate on longer runs.")
+        least = all_horizons(runs[0].pace, dt)[0]
+        raise DataError(f"no run is long enough for a horizon of {least:g} s; evaluate on longer runs.")
     steps = [max(1, round(h / dt)) for h in horizons]
     windows = windows_of(model, runs, steps[-1])
     starts = thinned(start_grid(windows))

@@ -145,7 +145,9 @@ def fit_ensemble(task: Task) -> Fitted:
     model = model.to(device=task.device, dtype=task.dtype)
     windows = Windows(task.runs, spec.dt, spec.horizon, dtype=task.dtype, device=task.device)
     # cut as for the other models, which thus hold out the same rows
-    train, held = windows.held_out(task.validation, _BLOCK_S, torch.Generator().manual_seed(task.seed))
+    train, held = windows.held_out(
+        task.validation, _BLOCK_S * windows.pace, torch.Generator().manual_seed(task.seed)
+    )
     pairs = standardised_pairs(model, train, clock_scale=task.clock)
     validation = cut_pairs(model, held, most=_VALIDATION_PAIRS)
     steps = spec.steps or STEPS_FACTOR * task.options.steps

@@ -184,7 +184,9 @@ def fit_sde(task: Task) -> Fitted:
     model = model.to(device=task.device, dtype=task.dtype)
     denoise = loss.kind == "replay" and (spec.measurement or model.system.sensor_noise)
     windows = Windows(task.runs, spec.dt, spec.horizon, dtype=task.dtype, device=task.device, denoise=denoise)
-    train, held = windows.held_out(task.validation, _BLOCK_S, torch.Generator().manual_seed(task.seed))
+    train, held = windows.held_out(
+        task.validation, _BLOCK_S * windows.pace, torch.Generator().manual_seed(task.seed)
+    )
     prepare(model, task.runs, train, clock_scale=task.clock, given=task.values)
     scale = error_scale(model, train)
     fit = Fit(model, train, held, windows, scale=scale, loss=loss, task=task)

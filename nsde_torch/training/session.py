@@ -17,7 +17,15 @@ from nsde_torch.data import DataSet, Run, Split, Windows
 from nsde_torch.errors import DataError, NonFiniteError
 from nsde_torch.evaluation import report, seen
 from nsde_torch.evaluation.figures import Coverage, extrapolate, falls_short
-from nsde_torch.evaluation.metrics import START_EVERY, evaluate, horizons_of, start_grid, thinned
+from nsde_torch.evaluation.metrics import (
+    all_horizons,
+    decade,
+    evaluate,
+    horizons_of,
+    start_every,
+    start_grid,
+    thinned,
+)
 from nsde_torch.evaluation.one_step import one_step_table
 from nsde_torch.evaluation.scores import score
 from nsde_torch.models.feedback_model import fit_feedback
@@ -86,8 +94,9 @@ class Training:
         self._say_split()
         if self.split.test and not horizons_of(self.split.test, self.spec.dt):
             names = ", ".join(run.name for run in self.split.test)
+            least = all_horizons(self.split.test[0].pace, self.spec.dt)[0]
             raise DataError(
-                f"the test runs ({names}) are too short for a horizon of 0.1 s; hold out longer ones."
+                f"the test runs ({names}) are too short for a horizon of {least:g} s; hold out longer ones."
             )
         fit: Fitted = model_kind(self.spec.kind).fit(
             self._task(self.split.train, self.seed, "train", self.options)
@@ -375,7 +384,8 @@ def learn_feedback(model: NeuralSDE, runs: Sequence[Run], *, seed: int) -> dict[
     and `standard_error`.
     """
     made, dt = fit_feedback(model, runs, model.spec.feedback), model.spec.dt
-    steps = [round(h / dt) for h in horizons_of(runs, dt) if h <= _LONGEST_S and h > model.spec.feedback * dt]
+    longest = _LONGEST_S * decade(runs[0].pace, dt)
+    steps = [round(h / dt) for h in horizons_of(runs, dt) if h <= longest and h > model.spec.feedback * dt]
     asked, like = model.spec, model.clock_scale
     model.feedback, model.spec = None, replace(asked, feedback=0)
     if made is None or not steps:
@@ -384,7 +394,7 @@ def learn_feedback(model: NeuralSDE, runs: Sequence[Run], *, seed: int) -> dict[
     starts = start_grid(windows)
     if windows.interventional or len(starts) < 2:
         return {"kept": False}
-    independent = len(starts) * START_EVERY / _LONGEST_S
+    independent = len(starts) * start_every(windows.pace, windows.dt) / longest
     starts = thinned(starts, _STARTS)
     given: dict[str, Any] = {"seed": seed, "particles": _PARTICLES}
     without = score(model, windows, starts, steps, **given)

@@ -113,6 +113,22 @@ def test_horizons_are_those_that_the_longest_stretch_holds() -> None:
     assert horizons_of([with_gap(run, 12)], DT) == (0.1, 0.25, 0.5)
 
 
+@pytest.mark.parametrize(
+    ("dt", "pace", "horizons"),
+    [
+        (5.0, 150.0, (10.0, 25.0, 50.0, 100.0, 200.0)),
+        (5.0, 1.0, (5.0, 10.0, 20.0)),  # a reactor whose inflow is changed at each row
+        (0.1, 4.0, (0.1, 0.25, 0.5, 1.0, 2.0)),
+        (1e-4, 0.05, (0.01, 0.025, 0.05, 0.1, 0.2)),
+    ],
+)
+def test_horizons_are_as_long_as_the_machine_is_slow(
+    dt: float, pace: float, horizons: tuple[float, ...]
+) -> None:
+    rows = np.zeros((6000, 1))
+    assert horizons_of([Run("r", dt * np.arange(6000.0), rows, rows, pace=pace)], dt) == horizons
+
+
 def test_runs_that_are_too_short_are_refused_in_words() -> None:
     with pytest.raises(DataError, match="longer runs"):
         evaluate(make_model(Decay), decay_runs(1, 0.1, sigma=0.5), seed=0)

@@ -42,7 +42,7 @@ def diagnose_case(folder: Path, name: str) -> Json:
     joint = found.outcome.joint
     if effects and joint is not None:
         told = found.system.with_effects(*(system.make_effect(key, v) for key, v in effects.items()))
-        spec = SysidSpec(system.name, dt=joint.final.at.of.space.h, horizon=system.defaults.horizon)
+        spec = SysidSpec(system.name, dt=joint.final.at.of.space.logged_h, horizon=system.defaults.horizon)
         how = {"fitted": by_likelihood([joint.declared, joint.final]), "steps": joint.final.at.of.space.steps}
         machines, runs = (found.outcome.declared_system, told), with_channels(system, found.recorded.runs)
         oracle = held_out(machines, spec, runs, clock=found.recorded.clock, seed=0, **how)

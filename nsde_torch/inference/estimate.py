@@ -485,8 +485,10 @@ class Optimum:
         space.use(self.theta)
         # a fit whose last steps held slopes may end just beyond: of a servo that acts late the scores were no numbers
         fastest, space.fastest = space.fastest, inf
-        about = linearised_about(space, self.x, self.of.start)
-        space.fastest = fastest
+        try:
+            about = linearised_about(space, self.x, self.of.start)
+        finally:
+            space.fastest = fastest
         return self.of.passes.keep(self, (about, self.of.filtered(self.levels, about)))
 
 

@@ -27,6 +27,8 @@ from scipy.special import chdtrc, fdtrc, stdtr
 from nsde_torch.arrays import Array, Labels
 from nsde_torch.diagnosis.decisions import DECISIONS, Decisions
 from nsde_torch.effects import effect_class
+from nsde_torch.inference.steps import Steps
+from nsde_torch.sysid.feedback_test import FilteredLog
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import own_name
@@ -84,8 +86,11 @@ def nats_by_channel(before: Regression, after: Regression) -> dict[str, float]:
     return {name: second[name] - first[name] for name in first}
 
 
-def joint_innovations(place: FittedPhysics, regression: Regression) -> dict[str, Array]:
-    """Innovations of the likelihood by channel of a regression at its optimum, by step (N,); none where they differ.
+_RUN = 2**40  # rows, more than any log has
+
+
+def filtered_log(place: FittedPhysics, regression: Regression) -> FilteredLog | None:
+    """What the filter of a likelihood at its optimum says of the steps of a regression; None of channels it lacks.
 
     A regression takes states as they were measured. Of a stiff tyre, whose slip is mostly noise, the right physics left
     it 1,500 nats less than wrong ones, and a lag was what feedback may hide
@@ -93,10 +98,45 @@ def joint_innovations(place: FittedPhysics, regression: Regression) -> dict[str,
     in its own axes channels are others.
     """
     names = [regression.physics.names[c] for c in regression.rows]
-    own, values = place.best.channels, place.at.innovations
-    if regression.box > 1 or not set(names) <= set(own) or len(values) != len(regression.series):
-        return {}
-    return {name: values[:, own.index(name)] for name in names}
+    own, system, pass_ = place.best.channels, place.system, place.at.at
+    theirs, steps = place.at.of.space.steps, regression.physics.steps
+    # a rate that no sensor measured is known from its position
+    positions = {rate: place for place, rate, _ in system.position_derivatives}
+    seen = {name: name if name in own else positions.get(name, "") for name in names}
+    if not {*seen.values()} <= {*own}:
+        return None
+    # stretches that are too short for a likelihood have none: of a servo that friction holds for most of the time those
+    # of the regression, in which noise of the speed moves the voltage, were taken for what its controller knew
+    _, at, before = np.intersect1d(_rows(steps), _rows(theirs), assume_unique=True, return_indices=True)
+
+    def aligned(values: Array) -> Array:
+        out = np.zeros((len(steps), values.shape[1]))
+        out[at] = values[before]
+        return out
+
+    innovations = aligned(place.at.innovations)
+    straight = [name for name in own if name in system.state_names and not _of_attitude(system, name)]
+    columns = [system.error_names.index(name) for name in straight]
+    moved = pass_.gain[..., columns, :] @ pass_.errors[..., None]
+    left = pass_.errors[..., [own.index(name) for name in straight]] - moved[..., 0]
+    states = [system.state_names.index(name) for name in straight]
+    return FilteredLog(
+        {name: innovations[:, own.index(channel)] for name, channel in seen.items()},
+        logged=np.asarray(steps.seen1[:, states]),
+        noise=aligned(place.at.by_step(left)),
+        known=aligned(np.ones((len(theirs), 1)))[:, 0] > 0,
+    )
+
+
+def _of_attitude(system: System, name: str) -> bool:
+    q = system.quaternion
+    return q is not None and q.start <= system.state_names.index(name) < q.stop
+
+
+def _rows(steps: Steps) -> Labels:
+    """The run and the row of the log of each step, as one number (N,)."""
+    runs = np.repeat(steps.runs, [b - a for a, b in steps.segments])
+    return np.rint(steps.t.numpy() / steps.logged_dt).astype(np.int64) + runs * _RUN
 
 
 def joint_nats_by_channel(

@@ -139,14 +139,14 @@ def unmeasured_gains(outcome: Outcome) -> frozenset[str]:
 
 def behind_smoothers(search: Search, system: System) -> Search:
     """The search without effects with memory that act on inputs."""
-    return _among(search, [n for n in candidate_names(system, search.candidates) if not _timed(system, n)])
+    return among(search, [n for n in candidate_names(system, search.candidates) if not _timed(system, n)])
 
 
 def with_suspects(found: JointSelection, search: Search, system: System) -> JointSelection:
     """A selection, with what was no candidate and would explain more beside it."""
     if not found.selected:
         return found
-    some = _among(search, [n for n in candidate_names(system, search.candidates) if _timed(system, n)])
+    some = among(search, [n for n in candidate_names(system, search.candidates) if _timed(system, n)])
     return replace(found, suspected=tuple(p.name for p in looked(some, found.final) if p.accepted))
 
 
@@ -167,7 +167,8 @@ def _timed(system: System, name: str) -> bool:
     return effect_class(name).port is Port.INPUT and system.make_effect(name, {}).n_memory > 0
 
 
-def _among(search: Search, names: list[str]) -> Search:
+def among(search: Search, names: list[str]) -> Search:
+    """The search among other candidates."""
     out = copy.copy(search)
     out.candidates = names
     return out

@@ -3,14 +3,16 @@
     1, v^2, v^3, v^4, v^5, v, c1 + c2 v, |v|, |v| v, sign v,
     max(v - k, 0), min(v - k, 0) for zero and some k in the range of v,
     2 v k / (v^2 + k^2), which is largest at k,   what pulls to a place of no speed, d / k exp(1/2 - d^2 / (2 k^2)),
-    sign(d) about a place, as a spring under preload has,   exp(k v) - 1 of no speed,   sin n v, cos n v of an angle,
-    a b, a^2 b, a b^2, |a| b, a |b|, max(a, 0) b, min(a, 0) b,
+    sign(d) about a place, as a spring under preload has,   exp(-(d / k)^8), which is there between two places alone,
+    exp(k v) - 1 of no speed,   sin n v, cos n v of an angle,
+    a b, a^2 b, a b^2, |a| b, a |b|, max(a, 0) b, min(a, 0) b, root a b of what has one sign,
     sin n a b, cos n a b, sin n a b^2, cos n a b^2 with an angle a and n = 1, 2,   planes c1 a + c2 b,
     a sign b, a^2 sign b, |a| sign b, sin n a sign b, cos n a sign b with a speed b, each also beside c1 sign b
 
-Each is written in the grammar of `effects.expression_grammar`; k and the width of a sign are fitted with the size. As a
-column of the joint likelihood a term moves a step as its value times the slope of the step in a force on its row of a
-port, which the filter's linearisation holds already. A whole library costs one recursion, and no call of the machine.
+A variable may be the difference of two states of one unit. Each is written in the grammar of
+`effects.expression_grammar`; k and the width of a sign are fitted with the size. As a column of the joint likelihood a
+term moves a step as its value times the slope of the step in a force on its row of a port, which the filter's
+linearisation holds already. A whole library costs one recursion, and no call of the machine.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import product
+from itertools import combinations, product
 
 import numpy as np
 import torch
@@ -39,7 +41,9 @@ _KNOTS = (0.05, 0.2, 0.5, 0.8, 0.95)  # quantiles that hinges start from
 _SELDOM = 0.01  # share of values of the other sign that is noise
 _WIDTH = 0.05  # of a sign, of the 90 % quantile of the variable
 _TURNS = (1, 2, 3)  # times an angle
-_CURVED = re.compile(r"(?:sign|peak)\((\w+), k1\)|expm1\(k1 (\w+)\)")  # at one end of k1: the variable
+_NAME = r"(\w+|\(\w+ - \w+\))"  # of a variable, or of the difference of two
+# at one end of k1: the variable
+_CURVED = re.compile(rf"(?:sign|peak)\({_NAME}, k1\)|expm1\(k1 {_NAME}\)")
 # an eddy brake, largest at 8 rad/s, was five laws of the speed beside one another; a spring of rubber had no form
 _PEAKS = (0.2, 0.6)  # where a peak lies, of the same quantile
 _PLACES = tuple(k / 12.0 for k in range(1, 12))  # quantiles that pulls start from
@@ -67,8 +71,15 @@ def terms_of(
         out += _of_one(name, values[name], name in angles, name in speeds)
     for i, first in enumerate(names):
         for second in names[i + 1 :]:
+            if _words(first) & _words(second) or first[0] == second[0] == "(":
+                continue
             signed = [name for name in (first, second) if has_both_signs(values[name])]
-            out += [LawTerm((text,)) for text in _of_two(first, second, signed)]
+            flows = [
+                name
+                for name in (first, second)
+                if name not in signed and not (name in angles or name in speeds)
+            ]
+            out += [LawTerm((text,)) for text in _of_two(first, second, signed, flows)]
             # two propellers that push a boat sideways: the product of both was named, which explained three quarters
             out.append(LawTerm((first, second)))
             for a, b in ((first, second), (second, first)):
@@ -85,6 +96,10 @@ def terms_of(
                     out += [LawTerm((f"{text} {sign}",), width) for text in of_place]
                     out += [LawTerm((sign, f"{text} {sign}"), width) for text in of_place]
     return out
+
+
+def _words(name: str) -> set[str]:
+    return {*re.findall(r"\w+", name)}
 
 
 def _size(v: Array) -> float:
@@ -127,6 +142,8 @@ def _of_one(name: str, v: Array, angle: bool, speed: bool) -> Iterator[LawTerm]:
     for knot, share in product(np.quantile(v, _PLACES), _PULLS) if not speed else ():
         start = ("k1", float(knot)), ("k2", share * float(np.ptp(v)))
         yield LawTerm((f"pull({name} - k1, k2)",), start)
+        # a slope of 6 m on the way of a wheelchair was a dry friction that came and went at eight moments, surely
+        yield LawTerm((f"window({name} - k1, k2)",), start)
     # the spring of a throttle that rests under preload was a magnet, a ripple and two waves
     for knot in np.quantile(v, _PLACES) if not speed else ():
         yield LawTerm((f"sign({name} - k1, k2)",), (("k1", float(knot)), ("k2", _WIDTH * float(np.ptp(v)))))
@@ -135,12 +152,14 @@ def _of_one(name: str, v: Array, angle: bool, speed: bool) -> Iterator[LawTerm]:
         yield from (LawTerm((f"sin({inner})",)), LawTerm((f"cos({inner})",)))
 
 
-def _of_two(a: str, b: str, signed: Sequence[str]) -> Iterator[str]:
+def _of_two(a: str, b: str, signed: Sequence[str], flows: Sequence[str]) -> Iterator[str]:
     yield from (f"{a} {b}", f"{a}^2 {b}", f"{a} {b}^2")
     for one, other in ((a, b), (b, a)):
         if one in signed:
             for of_it in (f"abs({one})", f"max({one}, 0)", f"min({one}, 0)"):
                 yield f"{of_it} {other}" if one == a else f"{other} {of_it}"
+        elif one in flows:  # what is exchanged with a stream goes with the root of it
+            yield f"root({one}) {other}" if one == a else f"{other} root({one})"
 
 
 # ---- columns of the likelihood -------------------------------------------------------------------------
@@ -206,14 +225,17 @@ def terms_on(system: System, at: Optimum, port: int, names: Sequence[str]) -> li
     known = [*(name for name, _, _ in words.variables), *logged]  # a product has one spelling
     there = [name for name in known if name in names and name in table]
     text = {name: f"logged({name})" if name in system.exogenous else name for name in there}
-    units = {name: unit for name, unit, _ in words.variables}
+    units = {text[name]: unit for name, unit, _ in words.variables if name in text}
+    values = {text[name]: table[name].numpy() for name in there}
+    # heat, liquids and springs go by differences: of a heat exchanger that a stream cools, laws of both temperatures
+    # stood beside one another, and each by itself was sure
+    states = [] if system.quaternion is not None else [n for n in there if n in system.state_names]
+    for a, b in combinations(states, 2):
+        if units[a] == units[b]:
+            units[f"({a} - {b})"], values[f"({a} - {b})"] = units[a], values[a] - values[b]
+    angles, speeds = ([n for n in values if units.get(n) in some] for some in (("rad",), ("m/s", "rad/s")))
     terms = [LawTerm(("",))] if there else []
-    terms += terms_of(
-        list(text.values()),
-        {text[name]: table[name].numpy() for name in there},
-        [text[name] for name in there if units.get(name) == "rad"],
-        [text[name] for name in there if units.get(name) in ("m/s", "rad/s")],
-    )
+    terms += terms_of(list(values), values, angles, speeds)
     out = [law_on(system, at, port, term.parts, dict(term.start)) for term in terms]
     return [term for term in out if term.law not in system.effect_names]
 

@@ -50,7 +50,12 @@ from nsde_torch.diagnosis.decision import (
 )
 from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions, Options
 from nsde_torch.diagnosis.explanation import Explanation, explained
-from nsde_torch.diagnosis.feedback_bias import behind_smoothers, not_sure_behind_smoothers, with_suspects
+from nsde_torch.diagnosis.feedback_bias import (
+    among,
+    behind_smoothers,
+    not_sure_behind_smoothers,
+    with_suspects,
+)
 from nsde_torch.diagnosis.joint_selection import (
     Evidence,
     FittedPhysics,
@@ -71,6 +76,7 @@ from nsde_torch.diagnosis.reading import (
     read_effects,
     read_log,
     undone,
+    where_it_moves,
     with_a_late_sensor,
     without_standstill,
 )
@@ -330,9 +336,9 @@ def _diagnosed(
     log = stages.attempt("numbers of the runs", lambda: _numbered(log, search), log)
     search = log.search(log.runs) if log.by_number else search
     course.lap("recording")
-    outcome = needed("the search for effects", partial(searched, replace(log, begun=begun), search))
-    course.known(LAWS, log, outcome)
-    now = Concluded(log, search, outcome)
+    now = needed("the search for effects", partial(first_search, replace(log, begun=begun), search))
+    now = now._replace(log=replace(now.log, begun=None))
+    course.known(LAWS, now.log, now.outcome)
 
     def again(what: str, stage: Callable[[Concluded], Concluded]) -> Concluded:
         return stages.attempt(what, lambda: stage(now), now)
@@ -411,6 +417,31 @@ def _numbered(log: Log, search: Search) -> Log:
     return log.numbered() if any(line.p < search.level("effects") for line in found) else log
 
 
+def first_search(log: Log, search: Search) -> Concluded:
+    """Search in all rows; or where it moves, of a machine that rests for much of the time and has dry friction."""
+    there = log.stages.attempt(MOVING_ROWS, lambda: where_it_moves(log, search, searched), None)
+    if there is None:
+        return Concluded(log, search, searched(log, search))
+    found = there.outcome.joint
+    if found is None:
+        return there
+    some = among(search, [*found.selected])
+    whole = log.stages.attempt(SELECTION, lambda: _selected(log, some, found)[1], None)
+    if whole is None or _better(whole, found) is found:
+        return there
+    return there._replace(outcome=_concluded(there.log, there.search, whole))
+
+
+def _better(whole: JointSelection, moving: JointSelection) -> JointSelection:
+    """Effects as fitted to all rows, or to those that move, if other ones are there or all rows are not as predicted.
+
+    A dry friction is identified best by how it changes at a turn, which rows that move lack. But how it holds is no law
+    of the speed: where the rows do not fit it, it biases the rest (a damping of 0.265 for 0.3, test_named.py).
+    """
+    same = whole.selected.keys() == moving.selected.keys()
+    return whole if same and (moving.final.best.misfit or not whole.final.best.misfit) else moving
+
+
 def searched(log: Log, search: Search, before: Outcome | None = None) -> Outcome:
     """Fit the declared physics, select effects, test what is left, and decide.
 
@@ -421,12 +452,8 @@ def searched(log: Log, search: Search, before: Outcome | None = None) -> Outcome
     made = log.stages.attempt(SELECTION, partial(_selected, log, search, joint), None)
     if made is None:
         return _concluded(log, search, joint)
-    # a dry friction is identified best by how it changes at a turn, which these rows lack. But how it holds is no law
-    # of the speed: where the rows do not fit it, it biases the rest (a damping of 0.265 for 0.3, test_named.py)
-    same = joint is not None and joint.selected.keys() == made[1].selected.keys()
-    sound = joint is not None and (made[1].final.best.misfit or not joint.final.best.misfit)
     if joint is not None:
-        return _concluded(log, search, joint if same and sound else made[1])
+        return _concluded(log, search, _better(joint, made[1]))
     return _concluded_with_laws(log, search, *made)
 
 

@@ -713,6 +713,8 @@ def _of_place(
         return "a spring between coordinates"
     if _calls(every, "pull"):
         return "what pulls to one place, or pushes away from it: a magnet, a detent"
+    if _calls(every, "window"):
+        return "a force between two places: a slope, a field"
     if _calls(every, "sign"):
         return "a spring under preload: it pushes to one place" if values[sizes[0]] < 0 else None
     hinge = _calls(every, "max", "min")

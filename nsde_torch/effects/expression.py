@@ -91,7 +91,15 @@ class _Settling:
             return None if base is None else {u: node.power * p for u, p in base.items()}
         if isinstance(node, Product):
             return _times([self.unit(part) for part in node.parts])
-        if isinstance(node, Call) and node.function in ("sin", "cos", "sign", "peak", "pull", "expm1"):
+        if isinstance(node, Call) and node.function in (
+            "sin",
+            "cos",
+            "sign",
+            "peak",
+            "pull",
+            "window",
+            "expm1",
+        ):
             return {}
         if isinstance(node, Call) and node.function == "root":
             inner = self.unit(node.arguments[0])
@@ -262,6 +270,7 @@ _CALLED: dict[str, Callable[..., Tensor]] = {
     "sign": lambda value, width: torch.tanh(value / width),
     "peak": lambda value, at: 2.0 * value * at / (value * value + at * at),
     "pull": lambda value, at: value / at * torch.exp(0.5 - 0.5 * (value / at) ** 2),
+    "window": lambda value, at: torch.exp(-((value / at) ** 8)),
     "expm1": lambda value: torch.expm1(value.clamp_max(_LARGEST_EXPONENT)),
     "root": lambda value: value.sign() * value.abs().clamp_min(_STEEPEST).sqrt(),
 }
@@ -340,7 +349,7 @@ def _made(law: Written, own_units: Mapping[str, str], own: dict[str, Any]) -> ty
         node.arguments[1].name
         for node in nodes(law.right)
         if isinstance(node, Call)
-        and node.function in ("sign", "peak", "pull")
+        and node.function in ("sign", "peak", "pull", "window")
         and isinstance(node.arguments[1], Coefficient)
     }
     parameters = {name: Parameter(0.0, own_units[name], help="size of a term") for name in law.sizes}

@@ -7,8 +7,9 @@
     atom     = variable | coefficient | whole number | function "(" sum { "," sum } ")" | "(" sum ")"
 
 Functions are `abs(a)`, `sin(a)`, `cos(a)`, `max(a, b)`, `min(a, b)`, `sign(a, width)`, which is tanh(a / width),
-`peak(a, at)`, which is 2 a at / (a^2 + at^2), `pull(a, at)`, which is a / at exp(1/2 - a^2 / (2 at^2)), `expm1(a)`,
-which is exp(a) - 1, `root(a)`, which is the root of |a| with the sign of a, and `logged(name)`, a column of the log.
+`peak(a, at)`, which is 2 a at / (a^2 + at^2), `pull(a, at)`, which is a / at exp(1/2 - a^2 / (2 at^2)),
+`window(a, at)`, which is exp(-(a / at)^8), `expm1(a)`, which is exp(a) - 1, `root(a)`, which is the root of |a| with
+the sign of a, and `logged(name)`, a column of the log.
 A coefficient is `c` or `k` with a number or `_word` behind it: `c1`, `k_width`. Every term of the outer sum has exactly
 one coefficient as a factor, which is its size; all others are shapes.
 """
@@ -35,6 +36,7 @@ FUNCTIONS: dict[str, tuple[int, str, str]] = {
         "({0})/({1})*exp(1/2 - ({0})**2/(2*({1})**2))",
         r"\frac{{{0}}}{{{1}}}\,e^{{1/2 - ({0})^2 / (2\,{1}^2)}}",
     ),
+    "window": (2, "exp(-(({0})/({1}))**8)", r"e^{{-\left(({0}) / {1}\right)^8}}"),
     "expm1": (1, "(exp({0}) - 1)", r"\left(e^{{{0}}} - 1\right)"),
     "root": (1, "sign({0})*sqrt(Abs({0}))", r"\operatorname{{sign}}({0})\,\sqrt{{\left|{0}\right|}}"),
     "logged": (1, "", ""),

@@ -437,11 +437,16 @@ class Optimum:
     @cached_property
     def innovations(self) -> Array:
         """Innovations of each measured channel over their size, by step (N, m); 0 where none counts."""
-        at, chunks = self.at, self.of.space.chunks
-        out = np.zeros((len(self.of.space.steps), at.errors.shape[-1]))
-        size = at.errors[chunks.counted].square().mean(0).sqrt().clamp_min(1e-300)
+        errors = self.at.errors
+        size = errors[self.of.space.chunks.counted].square().mean(0).sqrt().clamp_min(1e-300)
+        return self.by_step(errors / size)
+
+    def by_step(self, values: Tensor) -> Array:
+        """Values of rows (T, C, m) by the step that brought the row (N, m); 0 where none counts."""
+        chunks = self.of.space.chunks
+        out = np.zeros((len(self.of.space.steps), values.shape[-1]))
         live = chunks.counted[1:]  # that of a row is what the step before it brought
-        out[chunks.row[:-1][live].numpy()] = (at.errors[1:][live] / size).numpy()
+        out[chunks.row[:-1][live].numpy()] = values[1:][live].numpy()
         return out
 
     @cached_property

@@ -676,7 +676,7 @@ class _Choice:
         pull = across[:, 0] - taken @ shared[1:, 0]
         value, turned = np.linalg.eigh(left)
         value, along = value.clip(0.0), np.square(turned.swapaxes(1, 2) @ pull[..., None])[..., 0]
-        square = np.square(_VARIANCES[:, None]) / value.max(1).clip(1e-300)
+        square = np.square(_VARIANCES[:, None]) / value.max(1).clip(1e-100)
         gain = 1.0 + square[..., None] * value
         evidence = (square[..., None] * along / gain).sum(-1) - np.log(gain).sum(-1)
         best = evidence.argmax(0)

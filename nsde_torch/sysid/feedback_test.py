@@ -11,8 +11,8 @@ Beside these, of directions of the inputs (docs/content/theory/feedback.md):
 
 - other sensors: in a closed loop, those that are a function of the state to a quarter and hardly answer any channel
   which they drive.
-- exact: those that are a linear function of logged rows and of the inputs before them more exactly than they answer the
-  noise of their sensors: they were made from these rows, by no other sensor, whatever else they follow at times.
+- logged: those that the logged rows before explain surely better than the estimates of them do that the filter of a
+  likelihood makes: they were made from these rows, noise and all, by no other sensor.
 - new: the share that is no function (of second degree) of the logged state. Where it is small in a closed loop, gains
   rest on what was assumed of the noise (Soderstrom, Gustavsson and Ljung, International Journal of Control 21 (1975)).
 - between: a controller with sensors and a clock of its own may move its inputs between rows of the log, by half of
@@ -34,7 +34,6 @@ from scipy.stats import chi2
 from nsde_torch.arrays import Array, Mask
 from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
-from nsde_torch.recording.noise import white
 from nsde_torch.recording.smoothing import smoothing_width
 from nsde_torch.sysid import signals
 from nsde_torch.sysid.noise import Series, extended
@@ -65,8 +64,8 @@ _OWN_ANSWER = 0.02  # share of an input's innovation below which it hardly answe
 _NEW = 0.1  # share of an input's variance below which it is nearly a function of the state
 _FEWEST = 400  # rows
 _NEIGHBOURS = (-2, -1, 0, 1, 2)  # rows of the log whose inputs may have acted
-_EXACT = 0.3  # share of the answer to the sensors' noise that exact inputs leave
-_FITS = 30  # of least moduli
+_ROWS_BEFORE, _FITS = 3, 4  # rows that a controller makes an input of, and fits that weigh them
+_PARTS, _SURE, _LEAST = 40, 3.0, 10.0  # of a log whose scatter says what is sure; standard errors, nats
 FACTOR = 3.0
 """How much more inputs may know of their own step than they are seen to know of later ones (see `identify`)."""
 NO_INPUT = "no input moves"
@@ -99,6 +98,7 @@ class FeedbackTest:
     new: dict[str, float] = field(default_factory=dict)
     """Share of the inputs that is no function of the logged state, by direction."""
     driven: dict[str, tuple[str, ...]] = field(default_factory=dict)  # channels that each direction drives
+    moved: dict[str, tuple[str, ...]] = field(default_factory=dict)  # and those that it moves within a step
     together: float = 1.0  # chance of all answers of inputs to the channels that they drive, if there is none
     rows: int = 0  # number of innovations of each channel
     between: dict[str, float] = field(default_factory=dict)
@@ -108,7 +108,7 @@ class FeedbackTest:
     smoothed: tuple[str, ...] = ()
     """Channels whose states were smoothed before they were logged, and restored."""
     made: tuple[str, ...] = ()  # directions that past states predict beyond the past of the inputs
-    exact: tuple[str, ...] = ()  # directions that were made from the logged rows themselves
+    logged: tuple[str, ...] = ()  # directions that were made from the logged rows, by no other sensor
 
     @property
     def closed(self) -> bool:
@@ -132,13 +132,13 @@ class FeedbackTest:
             return ()
         answered = {(a.input, a.channel) for a in self.answers if a.chance < ALPHA and a.share >= _OWN_ANSWER}
         made = {way: own for way, own in self.driven.items() if self.new.get(way, 0.0) < _PLAYED}
-        from_log = {
+        of_log = {
             c
             for way, own in made.items()
-            if way in self.exact or any((way, c) in answered for c in own)
+            if way in self.logged or any((way, c) in answered for c in self.moved.get(way, own))
             for c in own
         }
-        return tuple(dict.fromkeys(c for own in made.values() for c in own if c not in from_log))
+        return tuple(dict.fromkeys(c for own in made.values() for c in own if c not in of_log))
 
     @property
     def not_from_the_log(self) -> tuple[str, ...]:
@@ -157,7 +157,7 @@ class FeedbackTest:
             for a in self.knowledge
             if a.chance < ALPHA
             and (self.new.get(a.input, 0.0) < _PLAYED or a.input in answers)
-            and a.input not in self.exact
+            and a.input not in self.logged
         ]
         surely = {a.input for a in sure}
         if self.closed:
@@ -241,6 +241,18 @@ class FeedbackTest:
         }
 
 
+@dataclass(frozen=True)
+class FilteredLog:
+    """What the filter of a likelihood says of each step of a regression."""
+
+    innovations: Mapping[
+        str, Array
+    ]  # by channel (N,): of what each step brought, over their size; 0 where unknown
+    logged: Array  # states that sensors measured, as logged at the end of each step (N, m)
+    noise: Array  # what the filter takes for noise of these (N, m)
+    known: Mask  # whether the filter knew of the step (N,)
+
+
 def _percent(share: float) -> str:
     """Two digits: of an hour of log a ten-thousandth of an innovation is sure, and was said to be 0 %."""
     return f"{share:.{max(0, -1 - floor(log10(max(share, 1e-9))))}%}" if share < 0.1 else f"{share:.0%}"
@@ -264,13 +276,13 @@ def feedback_summary(system: System, runs: Sequence[Run], clock: float = 1.0) ->
         regression.run(ITERATIONS)
     except (ConfigError, DataError, NonFiniteError) as error:
         return FeedbackTest(why_not=str(error).rstrip("."))
-    return tested(regression, runs, {})
+    return tested(regression, runs, None)
 
 
-def tested(regression: Regression, runs: Sequence[Run], innovations: Mapping[str, Array]) -> FeedbackTest:
+def tested(regression: Regression, runs: Sequence[Run], log: FilteredLog | None) -> FeedbackTest:
     """The test by a regression of runs that has settled, or why there is none.
 
-    By its own innovations, or those of the likelihood by channel and step (N,).
+    By its own innovations, or those of a likelihood.
     """
     system = regression.physics.vector.system
     why = _smoothed(runs, system.nu)
@@ -293,22 +305,30 @@ def tested(regression: Regression, runs: Sequence[Run], innovations: Mapping[str
     u = signals.spread_out(regression, signals.box_means(regression, u))
     driven = u @ np.stack([way.weights for way in ways], 1)
     past = own_past(signals.principal(u), series)
-    errors = regression.white
-    if innovations:
-        values = np.stack([innovations[regression.physics.names[c]] for c in regression.rows], 1)
-        errors = signals.spread_out(regression, values).T
+    errors = before = regression.white
+    if log is not None:
+        values = np.stack([log.innovations[regression.physics.names[c]] for c in regression.rows], 1)
+        mean = signals.box_means(regression, values) * regression.box**0.5
+        errors = signals.spread_out(regression, mean).T
+        # inputs within a box may answer its first rows, and know nothing of its last one
+        ends = [
+            a + np.arange(1, (b - a) // regression.box + 1) * regression.box
+            for a, b in regression.single.edges
+        ]
+        before = signals.spread_out(regression, values[np.concatenate(ends) - 1]).T
     answers, together = _answers_of(regression, errors, ways, driven, past, series)
     made, shares = _made_from_states(regression, ways, driven, past, series)
     return FeedbackTest(
         answers=answers,
         together=together,
-        knowledge=_knowledge_of(regression, errors, ways, driven, series),
+        knowledge=_knowledge_of(regression, before, ways, driven, series),
         new=_new_shares(regression, ways, driven, series),
         driven={way.name: tuple(regression.physics.names[c] for c in way.channels) for way in ways},
+        moved={way.name: tuple(regression.physics.names[c] for c in way.moved) for way in ways},
         rows=len(regression.series),
         between=lengths(regression, ways, shares),
         made=made,
-        exact=_made_of_logged_rows(ways, runs, system.nu),
+        logged=_made_of_logged_rows(regression, ways, log) if log is not None and not smoothed else (),
         still=still,
         smoothed=smoothed,
     )
@@ -412,35 +432,53 @@ def _upper(share: float, count: int, rows: int) -> float:
     return min(1.0, share + _UPPER * float(np.sqrt(2 * count + 4 * n * share)) / n)
 
 
-def _made_of_logged_rows(ways: Sequence[Direction], runs: Sequence[Run], nu: int) -> tuple[str, ...]:
-    """Names of directions that are made from logged rows: a share of `_EXACT` of their answer to noise is left.
+def _made_of_logged_rows(
+    regression: Regression, ways: Sequence[Direction], log: FilteredLog
+) -> tuple[str, ...]:
+    """Names of directions that the logged rows before explain surely better than the filter's estimates of them do.
 
-    By least moduli: rows in which a command steps do not count. Answers are shares of what moves an input: of two
-    joints that follow steps they were 1 %, the controller was said to have had other sensors, and a coupling of 1.1
-    rad/s2 was withheld as what inputs may know (tests/diagnosis/test_laws_beyond_the_catalogue.py).
+    Both beside the inputs of the rows before, weighed so that rows in which a command steps count little. What noise of
+    the log's own sensors an input answers no other sensor brought; and a controller with its own is explained better by
+    the estimates, however much of the innovations is noise or it moves beside a dither. As far as they answer an
+    innovation to a hundredth, as was asked before, a pendulum's controller of logged encoders had other ones.
     """
-    parts = [(run.x[a:b], run.u[a:b, :nu]) for run in runs for a, b in run.segments if b - a > _FEWEST_OWN]
-    if not parts:
+    steps = regression.physics.steps
+    u = np.asarray(steps.u[:, : regression.physics.vector.system.nu])
+    rows = np.concatenate([np.arange(a + _ROWS_BEFORE, b) for a, b in regression.single.edges])
+    before = [rows - lag for lag in range(1, _ROWS_BEFORE + 1)]
+    rows = rows[np.all([log.known[k] for k in before], 0)]
+    if len(rows) < _FEWEST:
         return ()
-    x, before = (np.concatenate([own[2 - lag : len(own) - lag] for own, _ in parts]) for lag in (0, 1))
-    now, last, older = (np.concatenate([u[2 - lag : len(u) - lag] for _, u in parts]) for lag in (0, 1, 2))
-    columns = np.column_stack((x, before, last, older, np.ones(len(x))))
-    size = np.maximum(np.abs(columns).max(0), 1e-300)
-    basis, turn = np.linalg.qr(columns / size)  # once: the fits are then small matrices
-    sensor = np.array([np.median([white(own[:, j]) for own, _ in parts]) for j in range(x.shape[1])])
+    before = [rows - lag for lag in range(1, _ROWS_BEFORE + 1)]
+    inputs = [u[k] for k in before]
+    logged, estimated = ([x[k] for k in before] for x in (log.logged, log.logged - log.noise))
+    both = [_standard(np.concatenate((*some, *inputs), 1)) for some in (logged, estimated)]
     found = []
     for way in ways:
-        y = now @ way.weights
-        left, along = np.ones(len(y)), np.zeros(columns.shape[1])
+        y, weights = u[rows] @ way.weights, np.ones(len(rows))
         for _ in range(_FITS):
-            weights = 1.0 / np.maximum(np.abs(left), 1e-9 * max(float(np.abs(y).max()), 1e-300))
-            weighed = (weights / weights.max())[:, None] * basis
-            along = np.linalg.lstsq(weighed.T @ basis, weighed.T @ y, rcond=None)[0]
-            left = y - basis @ along
-        gain = np.linalg.lstsq(turn, along, rcond=None)[0] / size
-        answer = float(np.linalg.norm(gain[: x.shape[1]] * sensor))
-        found += [way.name] if 1.4826 * float(np.median(np.abs(left))) < _EXACT * answer else []
+            left = y - both[0] @ np.linalg.lstsq(weights[:, None] * both[0], weights * y, rcond=None)[0]
+            weights = (1.0 + np.square(left / max(_usual(left), 1e-300))) ** -0.5
+        size = [
+            np.square(weights * y - w @ np.linalg.lstsq(w, weights * y, rcond=None)[0])
+            for w in (weights[:, None] * x for x in both)
+        ]
+        mean = [max(float(s.mean()), 1e-300) for s in size]
+        each = 0.5 * (size[1] / mean[1] - size[0] / mean[0]) + 0.5 * np.log(mean[1] / mean[0])
+        nats = np.array([part.sum() for part in np.array_split(each, _PARTS)])
+        if nats.sum() > max(_LEAST, _SURE * float(nats.std()) * _PARTS**0.5):
+            found.append(way.name)
     return tuple(found)
+
+
+def _usual(left: Array) -> float:
+    return 1.4826 * float(np.median(np.abs(left)))
+
+
+def _standard(columns: Array) -> Array:
+    """Columns of mean nothing and size one, and a constant."""
+    centred = columns - columns.mean(0)
+    return np.column_stack((centred / np.maximum(centred.std(0), 1e-300), np.ones(len(columns))))
 
 
 def _knowledge_of(

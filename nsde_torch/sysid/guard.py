@@ -4,9 +4,8 @@
     least squares        on means over 0.15 s, both sides of the equation through one filter (`rough`)
     the first values     theta_0
 
-all judged by what they leave of the rates in these means, without the mean over each run and beyond what the noise of
-measured states makes of it through the physics (`noise_through_physics`). What decides which of them is
-accepted, and the longer boxes that are tried where a noise model may have learned the physics, is in
+all judged by what they leave of the rates by the end of these means, without the mean over each run. What decides which
+of them is accepted, and the longer boxes that are tried where a noise model may have learned the physics, is in
 docs/content/theory/identification.md. "Surely" is one test of all parameters, d' (V + W)^-1 d for the difference d of
 two fits with covariances from blocks of time. Before come interpretations of the columns (`readings`), streams of
 another time (`timing`) and runs of another machine (`run_differences`): where the log is at fault, fits part for that
@@ -27,7 +26,7 @@ from nsde_torch.inference.estimate import ARITHMETIC
 from nsde_torch.sysid.physics import per_second
 from nsde_torch.sysid.readings import better_readings
 from nsde_torch.sysid.regression import Regression
-from nsde_torch.sysid.rough import Left, Objection, left_at, noise_through_physics, objection, rough_fit
+from nsde_torch.sysid.rough import Left, Objection, left_at, objection, rough_fit
 from nsde_torch.sysid.run_differences import odd_run, unexplained_runs
 from nsde_torch.sysid.timing import shifted_stream
 from nsde_torch.systems import System
@@ -36,7 +35,6 @@ CHANCE = 1e-3  # chance of calling two fits of a sound log different
 MORE = 0.1
 """Share of a channel's variance that least squares must explain beyond the fit, beside that: what the physics lacks
 biases both, and not alike."""
-KNOWN = 0.5  # share of what is left, up to which that is known to be none of the noise
 SOME = 0.95  # times what was measured that least squares leave where they explain something
 TIMES = 2.0
 """Or times what least squares leave that the fit leaves: how much of the rest they explain, where the rest is small."""
@@ -157,17 +155,12 @@ def guarded(
         return Guarded()
     places = theta, rough.theta, vector.inside(first)
     fit, squares, begun = (left_at(rough, at) for at in places)
-    noises = np.stack([noise_through_physics(rough, at) for at in places], 1)
     channels = []
-    for c, s, f, noise in zip(fit, squares, begun, noises, strict=True):
+    for c, s, f in zip(fit, squares, begun, strict=True):
         smaller = s.predicted < LESS * c.predicted
-        of_fit, of_squares, of_first = (
-            max(one.left**2 - made**2, 0.0) ** 0.5
-            for one, made in zip((c, s, f), noise.tolist(), strict=True)
+        channels.append(
+            Compared(c.name, per_second(c.unit), c.measured, c.left, s.left, f.left, smaller, s.noise)
         )
-        # of a cylinder noise made all that least squares left of the path, and 1 % of it spoke against the right fit
-        left = of_fit, max(of_squares, KNOWN * s.left), of_first
-        channels.append(Compared(c.name, per_second(c.unit), c.measured, *left, smaller, s.noise))
     objections, notes = _faults(system, runs, clock, rough, regression)
     chance = _chance(rough, theta, covariance)
     if not objections:

@@ -119,7 +119,7 @@ def _over_boxes(
     if method != "weak":
         why = "finite differences of smoothed states have no innovations"
         return replace(found, loop=FeedbackTest(why_not=why), guard=guarded(regression, runs, clock=clock))
-    loop = tested(regression, runs, {})
+    loop = tested(regression, runs, None)
     doubt, by = hidden_bias(regression, loop), None
     if instruments:
         by, apart = _by_instruments(at, instruments, bool(loop.hidden), clock, width)

@@ -18,6 +18,8 @@ import torch
 from scipy.stats import chi2
 
 from nsde_torch.arrays import Array, Mask
+from nsde_torch.columns import join_columns
+from nsde_torch.sde.exponential import stiff_change
 from nsde_torch.sysid.noise import Series, extended
 from nsde_torch.sysid.regression import Regression
 
@@ -35,6 +37,8 @@ class Direction:
     weights: Array  # its weights (nu,), of length one
     channels: tuple[int, ...]  # numbers of the channels that it drives
     slopes: tuple[float, ...]  # rate of each of these per unit of the combination
+    moved: tuple[int, ...] = ()
+    """Numbers of the channels that it moves within a step: those, and what follows a state that settles within it."""
 
 
 def box_means(regression: Regression, values: Array) -> Array:
@@ -128,10 +132,13 @@ def principal(values: Array) -> Array:
 
 
 @torch.no_grad()
-def input_slopes(regression: Regression, way: Array, size: float, some: torch.Tensor) -> Array:
+def input_slopes(
+    regression: Regression, way: Array, size: float, some: torch.Tensor, *, over: float = 0.0
+) -> Array:
     """What a unit along a combination of inputs (nu,) changes of the rates of channels, at some steps (n, channels).
 
-    By central differences of length `size`; `some` are the numbers of the steps (n,).
+    By central differences of length `size`; `some` are the numbers of the steps (n,). With `over`, of the mean
+    rates over so long [s], which differ where something settles within it.
     """
     physics = regression.physics
     system, steps = physics.vector.system, physics.steps
@@ -139,8 +146,16 @@ def input_slopes(regression: Regression, way: Array, size: float, some: torch.Te
     t, x, u = steps.t[some], steps.x0[some], steps.u[some]
     aside = torch.zeros_like(u)
     aside[:, : system.nu] = size * torch.as_tensor(way)
-    ends = [system.drift(t, system.augment(x, v), v)[:, : system.nx] for v in (u + aside, u - aside)]
-    change = physics.turn(ends[0] - ends[1], physics.attitude[some])
+
+    def rates(v: torch.Tensor) -> torch.Tensor:
+        memory = system.augment(x, v)[:, system.nx :]
+
+        def at(z: torch.Tensor) -> torch.Tensor:
+            return system.drift(t, join_columns((z, memory)), v)[:, : system.nx]
+
+        return stiff_change(at, x, over) / over if over else at(x)
+
+    change = physics.turn(rates(u + aside) - rates(u - aside), physics.attitude[some])
     return np.asarray(change.numpy()[:, regression.rows] / (2.0 * size))
 
 
@@ -182,4 +197,25 @@ def directions(regression: Regression) -> list[Direction]:
             continue
         name = system.input_names[0] if system.nu == 1 else f"the input of {physics.names[channel]}"
         out.append(Direction(name, weights, (int(channel),), (length,)))
-    return out
+    if not physics.is_stiff(torch.as_tensor(regression.theta)):
+        return [replace(d, moved=d.channels) for d in out]
+    return [replace(d, moved=(*d.channels, *_moved(regression, d, some))) for d in out]
+
+
+def _moved(regression: Regression, way: Direction, some: torch.Tensor) -> list[int]:
+    """Numbers of further channels that a direction moves within a step, by what settles within it.
+
+    Their mean rate over a step is hardly more than over half of it, and that of what these move twice as large. A
+    voltage moves the speed of a motor whose current settles within a row, and by the current alone its controller,
+    which answered the speed, passed for one with sensors of its own (tests/sysid/test_loop.py).
+    """
+    size = 1e-3 * max(float(regression.physics.steps.u[some].abs().max()), 1e-3)
+    half, whole = (
+        input_slopes(regression, way.weights, size, some, over=share * regression.physics.steps.dt).mean(0)
+        for share in (0.5, 1.0)
+    )
+    soon = np.abs(whole) < _SOON * np.abs(half)
+    return [int(c) for c, now in zip(regression.rows, soon, strict=True) if now and c not in way.channels]
+
+
+_SOON = 1.5  # how much larger a mean rate over a step is than over half of it, of what moves at once: 1 to 2

@@ -13,9 +13,11 @@ from numpy.typing import NDArray
 from scipy.stats import ncf
 
 from nsde_torch.diagnosis.evidence import chance, jackknife, left_out, not_shown
+from nsde_torch.diagnosis.gram_table import GramTable
 from nsde_torch.diagnosis.joint_selection import JointSelection, Round
 from nsde_torch.diagnosis.outcome import estimated
 from nsde_torch.diagnosis.result import outlier_warnings
+from nsde_torch.inference.sensitivity import Grams
 from nsde_torch.inference.spread import spread
 from nsde_torch.sysid.regression import Regression, shown
 
@@ -119,3 +121,16 @@ def test_rows_that_were_left_out_are_said_with_their_run_and_time() -> None:
     assert "3 of 'second', from t = 22.41 to 22.5 s" in warning["sentence"]
     assert warning["kind"] == "outliers"
     assert outlier_warnings(_with_outliers({})) == []
+
+
+def test_what_one_block_alone_shows_is_not_taken_from_the_others() -> None:
+    rng = np.random.default_rng(0)
+    blocks, rows = 8, 50
+    jacobian, law = rng.normal(size=(blocks, rows, 2)), rng.normal(size=(blocks, rows))
+    jacobian[1:, :, 1] *= 1e-4  # a width that shows in the first block
+    error = 0.3 * law + rng.normal(size=(blocks, rows))
+    columns = np.concatenate((error[..., None], jacobian, law[..., None]), 2)
+    held = Grams(np.einsum("bri,brj->bij", columns, columns), blocks * rows, 3)
+    gained, _, step = GramTable(held, np.array([1, 2]), np.arange(blocks)).gain((0, 3))
+    assert step == pytest.approx([0.3], abs=0.15)
+    assert 5.0 < gained.sum() < 40.0  # 0.5 * 400 * 0.09 nats

@@ -6,7 +6,7 @@ from typing import Any, cast
 import pytest
 
 from nsde_torch.diagnosis.decisions import Options
-from nsde_torch.diagnosis.evidence import joint_innovations, joint_nats_by_channel, nats_by_channel
+from nsde_torch.diagnosis.evidence import filtered_log, joint_nats_by_channel, nats_by_channel
 from nsde_torch.diagnosis.feedback_bias import (
     FeedbackBiased,
     allowances,
@@ -117,9 +117,9 @@ def test_noise_of_one_state_in_another_is_no_feedback() -> None:
     problem = LogLikelihood(alone, data.runs, run_in=True)
     right, wrong = (fitted_at(problem.of(system), system, None) for system in (true, alone))
     regression = search.at(right)
-    innovations = joint_innovations(right, regression)
-    assert feedback_test.tested(regression, data.runs, {}).predictive
-    assert not feedback_test.tested(regression, data.runs, innovations).predictive
+    log = filtered_log(right, regression)
+    assert feedback_test.tested(regression, data.runs, None).predictive
+    assert not feedback_test.tested(regression, data.runs, log).predictive
     gained = joint_nats_by_channel(wrong, right, ["v", "rim"])
     assert gained["rim"] > 50.0
     assert sum(gained.values()) == pytest.approx(right.best.likelihood - wrong.best.likelihood, rel=0.02)

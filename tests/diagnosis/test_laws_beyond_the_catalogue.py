@@ -123,7 +123,17 @@ def test_every_term_of_the_library_is_of_the_grammar_and_has_one_spelling() -> N
         "torque = c1 theta + c2 x_dot",
         "torque = c1 expm1(k1 theta)",
         "torque = c1 peak(x_dot, k1)",
+        "torque = c1 window(theta - k1, k2)",
     } <= set(texts)
+
+
+def test_what_is_exchanged_with_a_stream_goes_by_a_difference_and_the_root_of_the_stream() -> None:
+    rng = np.random.default_rng(0)
+    values = {n: rng.uniform(1.0, 2.0, 200) for n in ("flow", "inner", "outer")}
+    values["(inner - outer)"] = values["inner"] - values["outer"]
+    parts = {part for term in terms_of(list(values), values, []) for part in term.parts}
+    assert {"root(flow) (inner - outer)", "flow (inner - outer)^2", "(inner - outer)^2"} <= parts
+    assert not [part for part in parts if part.startswith("inner (inner")]
 
 
 @pytest.mark.parametrize(
@@ -131,6 +141,7 @@ def test_every_term_of_the_library_is_of_the_grammar_and_has_one_spelling() -> N
     [
         ("mass_spring_damper", "force = c1 q^2", 1.0, "a spring that is not straight"),
         ("mass_spring_damper", "force = c1 expm1(k1 q)", -1.0, "rubber"),
+        ("mass_spring_damper", "force = c1 window(q - k1, k2)", -0.4, "a force between two places"),
         ("mass_spring_damper", "force = c1 time q", 0.1, "a drift"),
         ("mass_spring_damper", "force = c1", 0.1, "always there"),
         ("mass_spring_damper", "force = c1 logged(load)", 0.1, None),

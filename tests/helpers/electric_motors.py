@@ -80,3 +80,22 @@ def turns(
         run = simulated(number, rates, np.zeros(5), acts, 0.01 / parts, **how)
         raw.append(replace(run, t=run.t[::parts], x=run.x[::parts, :3], u=u[:, None]))
     return assemble(raw, CoilMotor(), kind="simulated")
+
+
+def follows(seed: int, decay: float, *, friction: float = 0.0, seconds: float = 20.0) -> DataSet:
+    """Three runs of a servo that follows slow waves by its logged angle and speed; rates are those of `turns`."""
+    rng, t, raw = np.random.default_rng(seed), 0.01 * np.arange(round(seconds / 0.01)), []
+
+    def rates(x: Array, u: Array) -> list[float]:
+        _, w, i, gust = x
+        turn = PULL * i - DRAG * w + gust - friction * np.tanh(w / 0.1)
+        return [w, turn, decay * (u[0] - BACK * w - i), -gust / _LASTS[0]]
+
+    kick = np.array((0.0, 0.0, 0.0, _GUST * (2.0 / _LASTS[0]) ** 0.5))
+    for number in range(3):
+        waves = np.sin(np.outer(t, 2 * np.pi * rng.uniform(0.1, 0.6, 5)) + rng.uniform(0.0, 6.0, 5)).sum(1)
+        how = {"noise": (*_NOISE, 0.0), "kick": kick, "rng": rng, "fine": 20}
+        how["control"] = lambda wanted, seen: 9.0 * (wanted - seen[0]) - 0.15 * seen[1]
+        run = simulated(number, rates, np.zeros(4), waves[:, None], 0.01, **how)
+        raw.append(replace(run, x=run.x[:, :3]))
+    return assemble(raw, CoilMotor(), kind="simulated")

@@ -16,6 +16,7 @@ from nsde_torch.sysid.instruments import adopted
 from nsde_torch.sysid.regression import ITERATIONS, regression_of
 from nsde_torch.sysid.result import Identification
 from nsde_torch.sysid.signals import directions, score_tests
+from tests.helpers.electric_motors import CoilMotor, follows
 from tests.helpers.rate_loops import CONTROLLERS, GAIN, RateLoop, fly
 
 
@@ -157,3 +158,11 @@ def test_a_weak_controller_beside_a_dither_hides_little() -> None:
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_sines_and_steps_that_nothing_controls_are_an_open_loop_whatever_is_missing(seed: int) -> None:
     assert not feedback_summary(RateLoop(), _dithered(seed, gain=0.0)).closed
+
+
+@pytest.mark.parametrize("friction", [0.0, 15.0])
+def test_a_speed_that_a_voltage_moves_within_a_row_is_answered_from_the_log(friction: float) -> None:
+    # the voltage drives the current, which settles in 1 ms of a row of 10, and answers angle and speed
+    loop = feedback_summary(CoilMotor(), follows(1, 1000.0, friction=friction).runs)
+    assert loop.closed
+    assert loop.other_sensors == ()

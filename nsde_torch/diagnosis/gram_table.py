@@ -10,14 +10,11 @@ from math import log
 import numpy as np
 
 from nsde_torch.arrays import Array, Labels
-from nsde_torch.inference.sensitivity import Grams, half_squares, solved
+from nsde_torch.inference.sensitivity import KNOWN, Grams, half_squares, solved
 
 # without it a law linear in the speed was fitted beside a viscous damping, whose rounding it explained
 _NEW = 0.03  # share of a column that must be left: less is nothing that the physics cannot do already
 _SEEN = 1e-9  # share of a column that must be left beside the others for it to be seen
-# share of all information that a fold keeps of itself: of a wheelchair that starts in few blocks the others say nothing
-# of how narrow its friction is; their steps of it cost 1e7 nats, and laws that hid that were tried before right ones
-_KEPT = 0.01
 _ROUNDING = 1e-10  # of the largest eigenvalue: directions that columns hardly have
 
 
@@ -86,7 +83,7 @@ class GramTable:
         total, out = blocks.sum(0), np.empty(len(blocks))
         for rows in self._folds:
             rest = total - blocks[rows].sum(0)
-            rest[1:, 1:] += _KEPT * total[1:, 1:]
+            rest[1:, 1:] += KNOWN * total[1:, 1:]
             out[rows] = half_squares(blocks[rows], solved(rest))
         step = solved(total)
         return out, float(half_squares(total[None], step)[0]), step

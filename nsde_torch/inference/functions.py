@@ -45,6 +45,7 @@ from nsde_torch.inference.force_scores import FunctionScores, force_scores
 from nsde_torch.inference.levels import Levels
 from nsde_torch.inference.maximum import likeliest
 from nsde_torch.inference.sensitivity import (
+    KNOWN,
     Grams,
     WhitenedRows,
     bounded_step,
@@ -66,9 +67,6 @@ MOST_GROUPS = 4  # groups of one row of a port
 _ROUNDS = 2  # choices, the second under noise levels found beside the first
 _VARIANCES = np.geomspace(1.0, 1e4, 13)  # tau, in units that move the rows by one standard deviation in all
 _ROUNDING = 1e-10
-# without it parameters that one fold alone shows (a ground effect) go anywhere in the other ones, and what keeps them
-# passes for thousands of nats (blind hexacopter case_000, seed 8124)
-_KNOWN = 1e-3  # share of the information on a declared parameter that holds it at its optimum in every fold
 # without it a function linear in the speed took a weight of 87 beside a viscous damping, on a spring with quadratic one
 _NEW = 0.03  # share of the length of a direction that the declared parameters must leave
 _AT_ONCE = 96  # columns of one recursion
@@ -640,7 +638,7 @@ class _Choice:
         total, total_across, total_inner = head.sum(0), across.sum(1), inner.sum(1)
         further = self._ridges(total, total_across, total_inner)
         each = np.repeat(np.array(ridge, dtype=float), [s.stop - s.start for s in groups])
-        held = np.concatenate((_KNOWN * np.diag(total)[1:theta], each))
+        held = np.concatenate((KNOWN * np.diag(total)[1:theta], each))
         weights = np.repeat(further[:, None], across.shape[-1], 1)
         out = np.empty((len(across), len(head)))
         for f in range(_FOLDS):
@@ -704,7 +702,7 @@ class _Choice:
         errors = np.sqrt(np.diag(joint)[:first].clip(0.0))
         # what parameters and functions can both do is done by either: held as in every fold, and between bounds, beyond
         # which functions made up for it (a damping cut at 0 from below lost all that a spring's friction wins, of 10 h)
-        weights[:first] = _KNOWN * np.diag(total)[1 : 1 + first]
+        weights[:first] = KNOWN * np.diag(total)[1 : 1 + first]
         low, high = (end - start for end in space.vector.reach(start))
         free = np.full(len(weights) - first, np.inf)
         inner = total[1:, 1:] + np.diag(weights)

@@ -147,6 +147,17 @@ def test_an_oscillation_has_a_phase_of_its_own_in_each_run() -> None:
         assert high - low < 0.03
 
 
+def test_what_swings_beside_a_wave_from_outside_is_no_load_for_sure() -> None:
+    phases = [0.3, 2.9, 5.1]
+    runs = [
+        pushed_spring(r, 25.0, lambda t, v, u, q, p=p: 0.2 * np.sin(2.0 * np.pi * 1.37 * t + p))  # type: ignore[misc]
+        for r, p in enumerate(phases)
+    ]
+    content = diagnosed(runs, candidates=["hidden_mass"])
+    mass = next(f for f in content["findings"] if f["name"] == "hidden_mass")
+    assert mass["lead_reason"].endswith("Hz is left, near its own: a force from outside may move both")
+
+
 def test_what_is_no_candidate_differs_in_no_run() -> None:
     runs = [pushed_spring(r, 15.0, lambda t, v, u, q, r=r: 0.2 * (r == 1)) for r in range(3)]  # type: ignore[misc]
     content = diagnosed(runs, candidates=("coulomb_friction",))

@@ -451,7 +451,9 @@ def sized(outcome: Outcome) -> Outcome:
     beside = beside if declared and all(e.bound == "below" for e in declared) else ""
 
     def doubt(f: Found) -> str:
-        return why if _may_be_nothing(outcome, f) else beside or _hardly_resonates(outcome, f)
+        if f.name not in hosts(outcome) and may_be_nothing(outcome, f):
+            return why
+        return beside or _hardly_resonates(outcome, f)
 
     return outcome.provisional(doubt)
 
@@ -469,9 +471,13 @@ def _hardly_resonates(outcome: Outcome, found: Found) -> str:
     return f"it may hardly resonate: an inertia{share} or a length that is declared wrong does the same"
 
 
-def _may_be_nothing(outcome: Outcome, found: Found) -> bool:
-    if any(target_of(f.name).partition("/")[0] == found.name for f in outcome.found):
-        return False  # it may be nothing in the run that others are held against
+def hosts(outcome: Outcome) -> set[str]:
+    """Names of the effects whose sizes differ between runs: they may be nothing in the run others are held against."""
+    return {target_of(f.name).partition("/")[0] for f in outcome.found} - {""}
+
+
+def may_be_nothing(outcome: Outcome, found: Found) -> bool:
+    """Whether an effect may be nothing by the intervals of its sizes."""
     nothing = effect_class(found.name).null
     sizes = [
         (e, nothing[name])
@@ -495,7 +501,7 @@ def refuted(outcome: Outcome, errors: HeldOut) -> Refuted | None:
     Of a free pole (physical-cartpole) two frictions were findings, provisional ones, without which the rest of the log
     was 67 and 18 nats likelier.
     """
-    based_on = {target_of(f.name).partition("/")[0] for f in outcome.found}
+    based_on = hosts(outcome)
     worse = {f.name: errors.refutes(f.name) for f in outcome.found if f.name not in based_on}
     name = max(worse, key=lambda n: worse[n], default="")
     return Refuted(name, worse[name]) if name and worse[name] > 0 else None

@@ -16,6 +16,7 @@ from nsde_torch.diagnosis.beyond_catalogue import zero_of_an_input
 from nsde_torch.diagnosis.candidates import effect_of, values_of, without_motion
 from nsde_torch.diagnosis.ceiling import Ceiling
 from nsde_torch.diagnosis.cross_validation import HeldOut
+from nsde_torch.diagnosis.decision import hosts, may_be_nothing
 from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.effect_importance import (
     BY_RESIDUAL,
@@ -166,8 +167,13 @@ class Diagnosis:
 
     @property
     def shown(self) -> ShownEffects:
-        """The few effects that matter, and the others."""
-        names = [f.name for f in self.outcome.found]
+        """The few effects that matter, and the others; without those that are nothing but what differs between runs."""
+        of_others = hosts(self.outcome)
+        names = [
+            f.name
+            for f in self.outcome.found
+            if not (f.name in of_others and may_be_nothing(self.outcome, f))
+        ]
         return shown_effects(names, self.importance, self.outcome.decisions.wording)
 
     @property

@@ -111,6 +111,17 @@ def test_a_gain_that_falls_at_moments_of_two_runs_is_no_drift() -> None:
     assert values == pytest.approx([0.75, 0.75, 1.0, 1.0], abs=0.02)
 
 
+def test_a_friction_of_one_run_alone_is_one_thing_that_is_missing() -> None:
+    runs = [
+        pushed_spring(r, 15.0, lambda t, v, u, q, r=r: -0.3 * (r == 1) * np.tanh(v / 0.02))  # type: ignore[misc]
+        for r in range(3)
+    ]
+    content = diagnosed(runs, candidates=("coulomb_friction", "quadratic_damping"))
+    assert content["summary"] == "Missing: run_difference[coulomb_friction/size]."
+    low, high = content["parameters"]["run_difference[coulomb_friction/size].change[0]"]["interval_90"]
+    assert low < 0.3 < high
+
+
 def test_a_gust_in_one_run_has_its_time_and_its_size() -> None:
     runs = [
         pushed_spring(r, 30.0, lambda t, v, u, q, r=r: 0.2 * (r == 1 and 11.0 < t < 18.0)) for r in range(3)

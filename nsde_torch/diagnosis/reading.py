@@ -32,6 +32,7 @@ from nsde_torch.diagnosis.search import Search, at_bounds, fitted_system
 from nsde_torch.diagnosis.stages import MOVING_ROWS, Begun, OptionalStages
 from nsde_torch.effects import effect_class
 from nsde_torch.effects.by_run import RUN, target_of
+from nsde_torch.effects.law import Law
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
 from nsde_torch.inference import LogLikelihood
 from nsde_torch.progress import Say
@@ -351,10 +352,14 @@ def without_standstill(now: Concluded, searched: Searched) -> Concluded:
     """The log without the rows in which what has dry friction stands, and the search in it.
 
     It is taken where friction is found there too: what else was found with these rows may be how friction holds. Where
-    nothing explains the structure that is left, whatever may have friction is looked at where it moves.
+    friction is all that was found, and all rows are as predicted, there is nothing to look for: of an arm's Stribeck
+    friction, exact after 60 s, rows that move went on for six minutes. Where nothing explains the structure that is
+    left, whatever may have friction is looked at where it moves.
     """
     log, _, outcome = now
     speeds = _dry(now)
+    if speeds and not log.slowest and _all_that_is_missing(outcome):
+        return now
     if not speeds and not log.slowest:
         speeds, stands = _at_rest(log, now.search)
         if stands >= MUCH_STANDSTILL or outcome.found or not outcome.structured:
@@ -367,6 +372,13 @@ def without_standstill(now: Concluded, searched: Searched) -> Concluded:
         return now
     there = _where_it_moves(now.log, now.outcome, speeds, searched)
     return now if there is None or not _dry(there).keys() >= speeds.keys() else there
+
+
+def _all_that_is_missing(outcome: Outcome) -> bool:
+    """Whether nothing but dry friction was found, and all rows are as predicted with it."""
+    dry = [issubclass(cls, Law) and cls.dry for cls in (effect_class(f.name) for f in outcome.found)]
+    best = None if outcome.joint is None else outcome.joint.final.best
+    return all(dry) and not outcome.structured and best is not None and not best.misfit
 
 
 def _at_rest(log: Log, search: Search) -> tuple[dict[int, float], float]:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from inspect import cleandoc
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,13 +26,18 @@ from ..schemas import SystemConfig
 
 if TYPE_CHECKING:
     from nsde_torch.api.inspecting import Inspection
+    from nsde_torch.systems import System
 
 _SHOWN = 40
 
 
 @dataclass
 class InspectConfig:
-    log: str = key("???", "log or folder of logs; `nsde inspect LOG` says the same", file=True)
+    log: str | None = key(
+        None,
+        "log or folder of logs; `nsde inspect LOG` says the same; null: what a log of the machine holds",
+        file=True,
+    )
     kind: str | None = key(
         None, "reader of the format; null: by the names of the files", choices=tuple(READERS)
     )
@@ -84,6 +91,7 @@ COMMAND = HydraCommand(
         ("flights/ system=quadrotor", "what do the columns mean, and is it so?"),
         ("flights/ mapping=corrected.yaml", "check a mapping"),
         ("--config-dir DIR system=mine flights/", "a machine of your own, DIR/system/mine.yaml"),
+        ("system=quadrotor", "what would a log of it hold?"),
     ),
 )
 
@@ -100,17 +108,22 @@ def run(config: Config, job: Job) -> None:
 
     torch.set_num_threads(1)
     sys.path.insert(0, os.getcwd())  # a system of the user's own, in a file there
+    machine = build.system_options(config.system)
+    if machine.name == UNNAMED and machine.options:
+        raise ConfigError(
+            f"`system.options.{next(iter(machine.options))}` is of a machine: name it, system=NAME."
+        )
+    if config.log is None:
+        if machine.name == UNNAMED:
+            raise ConfigError("name a log, `nsde inspect LOG`, or a machine, `nsde inspect system=NAME`.")
+        print(_of_machine(machine.make(), shlex.join(system_words(machine.name))))
+        return
     path = config.log
     target = None if config.out == "none" else Path(config.out or _beside(path))
     # what lies beside the logs is what they will be read by, unless another one is to be written
     proposes = config.overwrite or target not in (None, _beside(path))
     kind = config.kind or format_of(path)
     there = mapping_beside(path) if kind in READERS and READERS[kind].mapped and not proposes else None
-    machine = build.system_options(config.system)
-    if machine.name == UNNAMED and machine.options:
-        raise ConfigError(
-            f"`system.options.{next(iter(machine.options))}` is of a machine: name it, system=NAME."
-        )
     named, mapping = None if machine.name == UNNAMED else machine, config.mapping or there
     found = inspect(path, system=named, kind=config.kind, mapping=mapping, physics=config.physics)
     table = "\n".join(_table(found, everything=config.columns == "all"))
@@ -129,6 +142,32 @@ def run(config: Config, job: Job) -> None:
     print(f"\nnext: {_next(found, train, again)}")
     if not found.usable:
         raise EndedError("these logs cannot be used as they are; what to do is said above.", FAILED_JOBS)
+
+
+def _of_machine(system: System, words: str) -> str:
+    """What a log of a machine holds, and what is declared of it; `words` name it in a command."""
+
+    def columns(names: Sequence[str], units: Sequence[str]) -> str:
+        return ", ".join(f"{name} [{unit}]" for name, unit in zip(names, units, strict=True))
+
+    from nsde_torch.systems.parameters import ParameterVector
+
+    rows = [("parameter", "first value", "unit", "meaning")]
+    vector = ParameterVector(system)
+    help_of = {label: spec.help for label, spec in type(system).PARAMETERS.items()}
+    for label, value, unit in zip(vector.labels, vector.start.tolist(), vector.units, strict=True):
+        rows.append((label, f"{value:.4g}", unit, help_of.get(label, "")))
+    values = {
+        "system": system,
+        "words": words,
+        "about": cleandoc(type(system).__doc__ or ""),
+        "states": columns(system.state_names, system.state_units),
+        "inputs": columns(system.input_names, system.input_units),
+        "rates": ", ".join(rate for _, rate, _ in system.position_derivatives if system.quaternion is None),
+        "declared": ", ".join(system.effect_names),
+        "parameters": "\n".join(aligned(rows, left=4)),
+    }
+    return rendered(TEXTS, "machine.txt", **values)
 
 
 def _next(found: Inspection, train: str, again: str) -> str:

@@ -76,7 +76,7 @@ _OF_THE_CART = (
 
 
 class Cartpole(System):
-    """A pole on a cart that a force pushes."""
+    """A pole on a cart that a force pushes; theta is 0 where it stands upright, and grows towards +x."""
 
     name = "cartpole"
     state_names = ("x", "x_dot", "theta", "theta_dot")

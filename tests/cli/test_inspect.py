@@ -135,7 +135,7 @@ def test_faults_of_the_user_are_one_sentence(tmp_path: Path, capsys: pytest.Capt
         ([str(tmp_path), "kind=os:system"], "`kind` must be csv | ulog"),
         ([str(tmp_path), "nowhere"], "one log or folder at a time"),
         ([str(tmp_path), "kind=ulog"], "holds no file of the kind 'ulog' (.ulg)"),
-        ([], "`nsde inspect LOG` says the same"),
+        ([], "name a log, `nsde inspect LOG`"),
     ):
         assert main(["inspect", *words]) == 2
         said = capsys.readouterr()
@@ -189,3 +189,14 @@ def test_options_of_the_machine_are_those_of_training(tmp_path: Path, refused: S
     )
     assert "`yaw_direction` must be 1 or -1" in refused(*words, "system.options.yaw_direction=2")
     assert "is not in Hydra's grammar" in refused(*words, "system.options.yaw_direction=[1")
+
+
+def test_what_a_log_of_a_machine_holds_is_said_without_one(tmp_path: Path, refused: Said, shown: Said) -> None:
+    said = shown("inspect", "system=cartpole")
+    assert "states  x [m], x_dot [m/s], theta [rad], theta_dot [rad/s]" in said
+    assert "may be absent: x_dot, theta_dot" in said
+    assert "theta is 0 where it stands upright" in said
+    (row,) = (line.split() for line in said.splitlines() if line.startswith("half_length"))
+    assert row[:3] == ["half_length", "0.5", "m"]
+    assert "motors numbered as PX4 does" in shown("inspect", "system=hexacopter")
+    assert "name a log, `nsde inspect LOG`, or a machine" in refused("inspect")

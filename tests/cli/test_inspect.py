@@ -191,7 +191,9 @@ def test_options_of_the_machine_are_those_of_training(tmp_path: Path, refused: S
     assert "is not in Hydra's grammar" in refused(*words, "system.options.yaw_direction=[1")
 
 
-def test_what_a_log_of_a_machine_holds_is_said_without_one(tmp_path: Path, refused: Said, shown: Said) -> None:
+def test_what_a_log_of_a_machine_holds_is_said_without_one(
+    tmp_path: Path, refused: Said, shown: Said
+) -> None:
     said = shown("inspect", "system=cartpole")
     assert "states  x [m], x_dot [m/s], theta [rad], theta_dot [rad/s]" in said
     assert "may be absent: x_dot, theta_dot" in said

@@ -231,8 +231,13 @@ def terms_on(system: System, at: Optimum, port: int, names: Sequence[str]) -> li
     # stood beside one another, and each by itself was sure
     states = [] if system.quaternion is not None else [n for n in there if n in system.state_names]
     for a, b in combinations(states, 2):
-        if units[a] == units[b]:
-            units[f"({a} - {b})"], values[f"({a} - {b})"] = units[a], values[a] - values[b]
+        apart = values[a] - values[b]
+        # what is a variable by itself has one name: an angle of attack was a path less an attitude too
+        same = any(
+            np.allclose(apart, sign * v, atol=1e-6 * _size(v)) for v in values.values() for sign in (1, -1)
+        )
+        if units[a] == units[b] and not same:
+            units[f"({a} - {b})"], values[f"({a} - {b})"] = units[a], apart
     angles, speeds = ([n for n in values if units.get(n) in some] for some in (("rad",), ("m/s", "rad/s")))
     terms = [LawTerm(("",))] if there else []
     terms += terms_of(list(values), values, angles, speeds)

@@ -191,9 +191,22 @@ class Physics:
         if thirds:
             self.sensor_std = np.sqrt(np.square(np.concatenate(thirds)).mean(0) / _FOURTH)
 
-    @torch.no_grad()
     def state_slopes(self, theta: Array) -> tuple[Array, Array]:
         """Mean (nx,) of d f_i / d x_i and mean square (nx, nx) of d f_i / d x_j over the steps [1/s]."""
+        slopes = self._state_slopes(theta)
+        return slopes.mean(0).diagonal().copy(), np.square(slopes).mean(0)
+
+    def left_after_a_step(self, theta: Array) -> Array:
+        """Share that its own damping leaves of what a state is off by (nx,), the mean over the steps; 1 at most.
+
+        Of a dry friction, which is steep where it turns, the mean slope says little of the other rows.
+        """
+        own = self._state_slopes(theta).diagonal(axis1=1, axis2=2)
+        return np.exp(np.minimum(own, 0.0) * self.steps.dt).mean(0)
+
+    @torch.no_grad()
+    def _state_slopes(self, theta: Array) -> Array:
+        """d f_i / d x_j at some of the steps (n, nx, nx) [1/s]."""
         at = torch.as_tensor(theta)
         system, s = self.vector.system, self.steps
         some = torch.linspace(0, len(s) - 1, min(len(s), _SLOPE_ROWS)).long()
@@ -204,16 +217,13 @@ class Physics:
         def rate(x: Tensor) -> Tensor:
             return system.drift(t, join_columns((x, *memory)), u)[:, : system.nx]
 
-        own, square = np.zeros(system.nx), np.zeros((system.nx, system.nx))
-        before = rate(x)
+        out, before = np.zeros((len(some), system.nx, system.nx)), rate(x)
         for j in range(system.nx):
             moved = x.clone()
             small = _SMALL * max(1.0, float(x[:, j].abs().max()))
             moved[:, j] += small
-            slope = (rate(moved) - before) / small
-            own[j] = float(slope[:, j].mean())
-            square[:, j] = slope.square().mean(0).numpy()
-        return own, square
+            out[:, :, j] = ((rate(moved) - before) / small).numpy()
+        return out
 
     @torch.no_grad()
     def linear(self, theta: Array) -> bool:

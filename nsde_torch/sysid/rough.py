@@ -141,9 +141,9 @@ def _to_the_end(rough: Regression, theta: Array) -> Array:
     change between two, was more than had been measured, and physics without gains looked better: a cylinder's valve
     was to change its sign (tests/sysid/test_guard.py).
     """
-    own, _ = rough.physics.state_slopes(theta)
+    left = rough.physics.left_after_a_step(theta)
     rows = np.concatenate([np.arange(b - a) % rough.box for a, b in rough.single.edges])
-    return np.exp(np.minimum(own, 0.0) * rough.dt * ((rough.box - 1 - rows) / rough.box)[:, None])
+    return np.power(left, (rough.box - 1 - rows)[:, None])
 
 
 def share_left(rough: Regression) -> float:

@@ -44,6 +44,8 @@ _TURNS = (1, 2, 3)  # times an angle
 _NAME = r"(\w+|\(\w+ - \w+\))"  # of a variable, or of the difference of two
 # at one end of k1: the variable
 _CURVED = re.compile(rf"(?:sign|peak)\({_NAME}, k1\)|expm1\(k1 {_NAME}\)")
+_ABOUT_A_PLACE = re.compile(rf"(\w+)\({_NAME} - k1, (k2|0)\)")  # the function, its variable, its width
+_WAVE = re.compile(rf"(sin|cos)\((?:\d )?{_NAME}\)")
 # an eddy brake, largest at 8 rad/s, was five laws of the speed beside one another; a spring of rubber had no form
 _PEAKS = (0.2, 0.6)  # where a peak lies, of the same quantile
 _PLACES = tuple(k / 12.0 for k in range(1, 12))  # quantiles that pulls start from
@@ -183,11 +185,26 @@ class Term:
         return _sizes(self.parts)
 
     def contains(self, other: Term) -> bool:
-        """Whether another law is this one with a size of 0, or at an end of its shape: a wide sign is a line."""
+        """Whether another law is this one with a size of 0, or at one value of its shapes.
+
+        A wide sign is a line, one about a place of 0 a plain one, and a wave of any length one of two a turn: of two
+        laws of a motor's inverter, each exact, one was provisional because of the place.
+        """
         if self.port != other.port:
             return False
-        straight = {_CURVED.sub(r"\1\2", part) for part in self.parts} if self.start else set[str]()
-        return set(other.parts) < set(self.parts) or set(other.parts) == straight
+        if set(other.parts) < set(self.parts):
+            return True
+        if not self.start:
+            return False
+        straight = {_CURVED.sub(r"\1\2", part) for part in self.parts}
+        central = {_ABOUT_A_PLACE.sub(_central, part) for part in self.parts}
+        of_one_length = {_WAVE.sub(r"\1(k1 \2)", part) for part in other.parts}
+        return set(other.parts) in (straight, central) or of_one_length <= set(self.parts)
+
+
+def _central(found: re.Match[str]) -> str:
+    function, name, width = found.groups()
+    return f"{function}({name}, {'k1' if width == 'k2' else width})"
 
 
 def _sizes(parts: Sequence[str]) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ from nsde_torch.data import RawRun
 from nsde_torch.diagnosis.beyond_catalogue import same_effect, zero_of_an_input
 from nsde_torch.diagnosis.candidates import candidate_names, joined
 from nsde_torch.diagnosis.decisions import Budgets, Decisions, Options
-from nsde_torch.diagnosis.laws import terms_of
+from nsde_torch.diagnosis.laws import Term, terms_of
 from nsde_torch.diagnosis.result import looks_like
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.effects.expression_grammar import parse
@@ -125,6 +125,24 @@ def test_every_term_of_the_library_is_of_the_grammar_and_has_one_spelling() -> N
         "torque = c1 peak(x_dot, k1)",
         "torque = c1 window(theta - k1, k2)",
     } <= set(texts)
+
+
+@pytest.mark.parametrize(
+    ("general", "special", "is_it"),
+    [
+        (("sign(v - k1, k2)",), ("sign(v, k1)",), True),
+        (("max(v - k1, 0)",), ("max(v, 0)",), True),
+        (("sin(k1 psi)", "cos(k1 psi)"), ("sin(2 psi)",), True),
+        (("peak((a - b), k1)",), ("(a - b)",), True),
+        (("pull(v - k1, k2)",), ("sign(v, k1)",), False),
+        (("sign(v, k1)",), ("sign(v - k1, k2)",), False),
+    ],
+)
+def test_a_law_that_is_another_at_one_value_of_its_shapes_contains_it(
+    general: tuple[str, ...], special: tuple[str, ...], is_it: bool
+) -> None:
+    one, two = (Term("", parts, {"k1": 1.0} if "k1" in str(parts) else {}, 0) for parts in (general, special))
+    assert one.contains(two) == is_it
 
 
 def test_what_is_exchanged_with_a_stream_goes_by_a_difference_and_the_root_of_the_stream() -> None:

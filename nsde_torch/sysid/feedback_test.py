@@ -31,7 +31,7 @@ import numpy as np
 import torch
 from scipy.stats import chi2
 
-from nsde_torch.arrays import Array, Mask
+from nsde_torch.arrays import Array, Labels, Mask
 from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
 from nsde_torch.recording.smoothing import smoothing_width
@@ -66,6 +66,7 @@ _FEWEST = 400  # rows
 _NEIGHBOURS = (-2, -1, 0, 1, 2)  # rows of the log whose inputs may have acted
 _ROWS_BEFORE, _FITS = 3, 4  # rows that a controller makes an input of, and fits that weigh them
 _PARTS, _SURE, _LEAST = 40, 3.0, 10.0  # of a log whose scatter says what is sure; standard errors, nats
+_ENOUGH = 20_000  # rows
 FACTOR = 3.0
 """How much more inputs may know of their own step than they are seen to know of later ones (see `identify`)."""
 NO_INPUT = "no input moves"
@@ -445,23 +446,24 @@ def _made_of_logged_rows(
     steps = regression.physics.steps
     u = np.asarray(steps.u[:, : regression.physics.vector.system.nu])
     rows = np.concatenate([np.arange(a + _ROWS_BEFORE, b) for a, b in regression.single.edges])
-    before = [rows - lag for lag in range(1, _ROWS_BEFORE + 1)]
-    rows = rows[np.all([log.known[k] for k in before], 0)]
+    rows = rows[np.all([log.known[rows - lag] for lag in range(1, _ROWS_BEFORE + 1)], 0)]
+    rows = rows[:: max(1, len(rows) // _ENOUGH)]
     if len(rows) < _FEWEST:
         return ()
-    before = [rows - lag for lag in range(1, _ROWS_BEFORE + 1)]
-    inputs = [u[k] for k in before]
-    logged, estimated = ([x[k] for k in before] for x in (log.logged, log.logged - log.noise))
-    both = [_standard(np.concatenate((*some, *inputs), 1)) for some in (logged, estimated)]
+    inputs = _before(u, rows)
+    both = [
+        _standard(np.concatenate((_before(x, rows), inputs), 1)) for x in (log.logged, log.logged - log.noise)
+    ]
     found = []
     for way in ways:
         y, weights = u[rows] @ way.weights, np.ones(len(rows))
         for _ in range(_FITS):
-            left = y - both[0] @ np.linalg.lstsq(weights[:, None] * both[0], weights * y, rcond=None)[0]
-            weights = (1.0 + np.square(left / max(_usual(left), 1e-300))) ** -0.5
+            left = y - both[0] @ _least_squares(weights[:, None] * both[0], weights * y)
+            usual = max(1.4826 * float(np.median(np.abs(left))), 1e-300)
+            weights = (1.0 + np.square(left / usual)) ** -0.5
         size = [
-            np.square(weights * y - w @ np.linalg.lstsq(w, weights * y, rcond=None)[0])
-            for w in (weights[:, None] * x for x in both)
+            np.square(weights * y - x @ _least_squares(x, weights * y))
+            for x in (weights[:, None] * columns for columns in both)
         ]
         mean = [max(float(s.mean()), 1e-300) for s in size]
         each = 0.5 * (size[1] / mean[1] - size[0] / mean[0]) + 0.5 * np.log(mean[1] / mean[0])
@@ -471,14 +473,20 @@ def _made_of_logged_rows(
     return tuple(found)
 
 
-def _usual(left: Array) -> float:
-    return 1.4826 * float(np.median(np.abs(left)))
+def _before(values: Array, rows: Labels) -> Array:
+    """Values of the rows before some, and their first and second differences, which span the same (n, 3 m)."""
+    one, two, three = (values[rows - lag] for lag in range(1, _ROWS_BEFORE + 1))
+    return np.concatenate((one, one - two, one - 2.0 * two + three), 1)
 
 
 def _standard(columns: Array) -> Array:
     """Columns of mean nothing and size one, and a constant."""
     centred = columns - columns.mean(0)
     return np.column_stack((centred / np.maximum(centred.std(0), 1e-300), np.ones(len(columns))))
+
+
+def _least_squares(columns: Array, values: Array) -> Array:
+    return np.asarray(np.linalg.lstsq(columns.T @ columns, columns.T @ values, rcond=1e-13)[0])
 
 
 def _knowledge_of(

@@ -9,7 +9,10 @@ import torch
 from nsde_torch.data import Run
 from nsde_torch.effects.actuators import ActuatorLag
 from nsde_torch.inference.steps import Steps, memory_along, steps_of
+from nsde_torch.sysid.physics import Physics
 from nsde_torch.systems import System, make_system
+from nsde_torch.systems.parameters import ParameterVector
+from tests.helpers.diagnosed import recorded
 
 DT, TAU = 0.01, 0.05
 TIMES = {"input_delay": "delay", "motor_lag": "time_constant", "actuator_lag": "time_constant"}
@@ -103,3 +106,14 @@ def test_memory_that_nobody_knows_exactly_is_integrated_with_what_is_known_held(
         m[k + 1, 0] = u[k, 0] + (m[k, 0] - u[k, 0]) * fade
         m[k + 1, 1] = m[k, 0] + (m[k, 1] - m[k, 0]) * fade
     np.testing.assert_allclose(last, m[-1 - len(steps) : -1, 1], atol=0.02)
+
+
+def test_a_load_that_runs_away_leaves_numbers() -> None:
+    """Where thrust is fitted as a pull a load has no place that it returns to, and none that it starts from."""
+    data = recorded("hexacopter", durations=(60.0,), dt=0.02)
+    vector = ParameterVector(make_system("hexacopter", effects=["slung_load"]))
+    physics = Physics(vector, steps_of(vector.system, data.runs, clock=1.0))
+    theta = vector.start.copy()
+    for label, value in (("thrust_offset", -60.0), ("slung_load.length", 0.05), ("slung_load.damping", 0.02)):
+        theta[vector.labels.index(label)] = value
+    assert np.isfinite(physics.residual(theta)).all()

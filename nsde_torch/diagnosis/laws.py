@@ -42,6 +42,7 @@ _SELDOM = 0.01  # share of values of the other sign that is noise
 _WIDTH = 0.05  # of a sign, of the 90 % quantile of the variable
 _TURNS = (1, 2, 3)  # times an angle
 _NAME = r"(\w+|\(\w+ - \w+\))"  # of a variable, or of the difference of two
+_DIFFERENCE = re.compile(r"\((\w+) - (\w+)\)")
 # at one end of k1: the variable
 _CURVED = re.compile(rf"(?:sign|peak)\({_NAME}, k1\)|expm1\(k1 {_NAME}\)")
 _ABOUT_A_PLACE = re.compile(rf"(\w+)\({_NAME} - k1, (k2|0)\)")  # the function, its variable, its width
@@ -194,12 +195,22 @@ class Term:
             return False
         if set(other.parts) < set(self.parts):
             return True
+        # nor is one of a state less another that hardly moves: of a boat's drag `abs(turn) (surge - sway)`
+        if any(
+            {*map(_words_of, other.parts)} == {_words_of(_DIFFERENCE.sub(state, part)) for part in self.parts}
+            for state in (r"\1", r"\2")
+        ):
+            return set(other.parts) != set(self.parts)
         if not self.start:
             return False
         straight = {_CURVED.sub(r"\1\2", part) for part in self.parts}
         central = {_ABOUT_A_PLACE.sub(_central, part) for part in self.parts}
         of_one_length = {_WAVE.sub(r"\1(k1 \2)", part) for part in other.parts}
         return set(other.parts) in (straight, central) or of_one_length <= set(self.parts)
+
+
+def _words_of(part: str) -> tuple[str, ...]:
+    return tuple(sorted(part.split(" ")))
 
 
 def _central(found: re.Match[str]) -> str:

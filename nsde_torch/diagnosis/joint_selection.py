@@ -814,7 +814,11 @@ class JointSearch:
         """Effects as likely as one that was selected, `only` of these, and physics with a better one in its place."""
         look, contained = self.look(without), effect_class(name).includes
         # what contains the effect was a candidate beside it, and was not needed
-        others = (p for p in look if p.accepted and name not in {p.name, *effect_class(p.name).includes})
+        others = [p for p in look if p.accepted and name not in {p.name, *effect_class(p.name).includes}]
+        # what contains another one comes after it: beside a friction of two sides and one of Stribeck's a dead band was
+        # no rival of a steady torque (tests/diagnosis/test_own_machines.py)
+        all_of_them = {p.name for p in others}
+        others.sort(key=lambda p: not all_of_them.isdisjoint(effect_class(p.name).includes))
         rivals = [
             *(p for p in look if p.name in contained),
             *[p for p in others if p.name not in contained][:_RIVALS],

@@ -101,7 +101,7 @@ def filtered_log(place: FittedPhysics, regression: Regression) -> FilteredLog | 
     own, system, pass_ = place.best.channels, place.system, place.at.at
     theirs, steps = place.at.of.space.steps, regression.physics.steps
     # a rate that no sensor measured is known from its position
-    positions = {rate: place for place, rate, _ in system.position_derivatives}
+    positions = {rate: position for position, rate, _ in system.position_derivatives}
     seen = {name: name if name in own else positions.get(name, "") for name in names}
     if not {*seen.values()} <= {*own}:
         return None

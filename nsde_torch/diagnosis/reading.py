@@ -344,7 +344,7 @@ def where_it_moves(log: Log, search: Search, searched: Searched) -> Concluded | 
     speeds, stands = _at_rest(log, search)
     if stands < MUCH_STANDSTILL:
         return None
-    there = _where_it_moves(log, None, speeds, searched)
+    there = _in_moving_rows(log, None, speeds, searched)
     return there if there is not None and _dry(there) else None
 
 
@@ -364,13 +364,13 @@ def without_standstill(now: Concluded, searched: Searched) -> Concluded:
         speeds, stands = _at_rest(log, now.search)
         if stands >= MUCH_STANDSTILL or outcome.found or not outcome.structured:
             return now  # the first search began where it moves, or nothing asks for it
-        there = _where_it_moves(log, None, speeds, searched)
+        there = _in_moving_rows(log, None, speeds, searched)
         if there is None or not _dry(there):
             return now
         now, speeds = there, _dry(there)
     if speeds.keys() == now.log.slowest.keys():
         return now
-    there = _where_it_moves(now.log, now.outcome, speeds, searched)
+    there = _in_moving_rows(now.log, now.outcome, speeds, searched)
     return now if there is None or not _dry(there).keys() >= speeds.keys() else there
 
 
@@ -389,7 +389,7 @@ def _at_rest(log: Log, search: Search) -> tuple[dict[int, float], float]:
     return speeds, max((moving(log.runs, {j: v})[1] for j, v in speeds.items()), default=0.0)
 
 
-def _where_it_moves(
+def _in_moving_rows(
     log: Log, before: Outcome | None, speeds: Mapping[int, float], searched: Searched
 ) -> Concluded | None:
     """What is concluded without rows that are slower; None where these are too few, or too many.

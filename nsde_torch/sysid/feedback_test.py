@@ -246,9 +246,8 @@ class FeedbackTest:
 class FilteredLog:
     """What the filter of a likelihood says of each step of a regression."""
 
-    innovations: Mapping[
-        str, Array
-    ]  # by channel (N,): of what each step brought, over their size; 0 where unknown
+    innovations: Mapping[str, Array]
+    """By channel (N,): of what each step brought, over their size; 0 where unknown."""
     logged: Array  # states that sensors measured, as logged at the end of each step (N, m)
     noise: Array  # what the filter takes for noise of these (N, m)
     known: Mask  # whether the filter knew of the step (N,)

@@ -22,6 +22,7 @@ from nsde_torch.sysid import feedback_test
 from nsde_torch.sysid.feedback_test import FACTOR, Answer, FeedbackTest, leaning
 from nsde_torch.systems import make_system
 from tests.helpers.diagnosed import recorded
+from tests.helpers.rate_loops import CONTROLLERS, RateLoop, fly
 from tests.helpers.tyres import LAG, TRUTH, Tyre, drives
 from tests.inference.springs import linear_runs
 
@@ -124,3 +125,13 @@ def test_noise_of_one_state_in_another_is_no_feedback() -> None:
     assert gained["rim"] > 50.0
     assert sum(gained.values()) == pytest.approx(right.best.likelihood - wrong.best.likelihood, rel=0.02)
     assert nats_by_channel(search.at(wrong), regression)["rim"] < 0.0
+
+
+@pytest.mark.parametrize("controller", CONTROLLERS)
+def test_an_input_was_made_of_the_log_where_that_explains_it_better_than_the_filter(controller: str) -> None:
+    loop = RateLoop()
+    (runs,) = fly(controller, seeds=range(1), seconds=30.0)
+    place = fitted_at(LogLikelihood(loop, runs, run_in=True), loop, None)
+    regression = Search(loop, runs, 1.0, Options()).at(place)
+    test = feedback_test.tested(regression, runs, filtered_log(place, regression))
+    assert test.logged == (("u",) if controller == "logged" else ())

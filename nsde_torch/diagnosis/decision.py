@@ -207,6 +207,7 @@ def decide(search: Search, chosen: Outcome, alone: FittedPhysics | None = None) 
         why = why or next((text for channel, text in abrupt.items() if channel in f.moves), "")
         why = why or _shared(f, found, base.vector.system)
         found[i] = replace(f, provisional=why)
+    found = beside_provisional(found)
     verdict: Verdict = "effect_found" if found else "no_effect"
     if rest > explained if found else left:
         verdict = "unexplained"
@@ -247,6 +248,21 @@ def provisional_reason(
     """
     rest = max((d.excess for d in left if d.channel in f.moves), default=0.0)
     return "something else is there too" if _too_much(rest, f, brought, decisions) else ""
+
+
+def beside_provisional(found: Sequence[Found]) -> list[Found]:
+    """The findings, laws beyond the catalogue provisional beside what is provisional on the channels that they move.
+
+    Of a wall that loses heat `T_out flow` was sure, with an exchange, a lag and a law beside it that were not.
+    """
+    doubted = {c for f in found if f.provisional for c in f.moves}
+    why = "what acts there beside it is provisional"
+    return [
+        replace(f, provisional=why)
+        if is_law(f.name) and not f.provisional and not doubted.isdisjoint(f.moves)
+        else f
+        for f in found
+    ]
 
 
 _NEAR_ITS_OWN = 1.25  # times the frequency of what swings, or a part of it

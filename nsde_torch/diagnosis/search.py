@@ -114,10 +114,13 @@ def acts_everywhere(steps: Steps, system: System, name: str) -> bool:
 def repeats_seldom(search: "Search", vector: ParameterVector, theta: Array, name: str) -> bool:
     """Whether an effect repeats, but too seldom for anybody to know that it does.
 
-    In time, in the longest stretch; or with an angle, within its range: of a boat's heading a ripple of order 2.2 was
-    what a product of three variables left, surely.
+    In time, in the longest run (of a knee whose rows at rest were left out no stretch held 1.5 periods of a push, and
+    each run 60); or with an angle, within its range: of a boat's heading a ripple of order 2.2 was what a product of
+    three variables left, surely.
     """
-    fewest, seconds = search.decisions.least_periods, search.longest * search.steps.dt
+    steps = search.steps
+    rows = np.bincount(steps.runs, [b - a for a, b in steps.segments]).max()
+    fewest, seconds = search.decisions.least_periods, float(rows) * steps.dt
     times = [abs(theta[j]) * seconds for j in vector.of(name) if vector.units[j] == "Hz"]
     effect = next(e for e in vector.system.effects if e.name == name)
     if isinstance(effect, Law) and effect.at.position is not None:

@@ -146,11 +146,10 @@ def run(config: Config, job: Job) -> None:
 
 def _of_machine(system: System, words: str) -> str:
     """What a log of a machine holds, and what is declared of it; `words` name it in a command."""
+    from nsde_torch.systems.parameters import ParameterVector
 
     def columns(names: Sequence[str], units: Sequence[str]) -> str:
         return ", ".join(f"{name} [{unit}]" for name, unit in zip(names, units, strict=True))
-
-    from nsde_torch.systems.parameters import ParameterVector
 
     rows = [("parameter", "first value", "unit", "meaning")]
     vector = ParameterVector(system)

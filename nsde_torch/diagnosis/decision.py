@@ -269,7 +269,7 @@ _NEAR_ITS_OWN = 1.25  # times the frequency of what swings, or a part of it
 
 
 def _moved_from_outside(f: Found, left: Sequence[Dependence], system: System) -> str:
-    """Why a swing that is not in the log is provisional: at its frequency another is left, with phases of its own.
+    """Why a mass that is not in the log is provisional: near its frequency an oscillation is left, its phases its own.
 
     Of a quadrotor in a wind that came and went at 0.62 Hz a load of 4 % on a cable was sure, which swings at 0.60 Hz
     (tests/diagnosis/test_between_runs.py).
@@ -281,7 +281,7 @@ def _moved_from_outside(f: Found, left: Sequence[Dependence], system: System) ->
     for d in left:
         near = d.sinusoid is not None and 1.0 / _NEAR_ITS_OWN < d.sinusoid / own < _NEAR_ITS_OWN
         if near and d.channel in f.moves:
-            return f"a swing of {d.sinusoid:.3g} Hz is left, near its own: a force from outside may move both"
+            return f"an oscillation of {d.sinusoid:.3g} Hz is left, near its own: a force from outside may move both"
     return ""
 
 

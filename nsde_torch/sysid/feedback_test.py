@@ -65,7 +65,7 @@ _NEW = 0.1  # share of an input's variance below which it is nearly a function o
 _FEWEST = 400  # rows
 _NEIGHBOURS = (-2, -1, 0, 1, 2)  # rows of the log whose inputs may have acted
 _ROWS_BEFORE, _FITS = 3, 4  # rows that a controller makes an input of, and fits that weigh them
-_PARTS, _SURE, _LEAST = 40, 3.0, 10.0  # of a log whose scatter says what is sure; standard errors, nats
+_PARTS = 40  # of a log, whose scatter says what is sure
 _ENOUGH = 20_000  # rows
 FACTOR = 3.0
 """How much more inputs may know of their own step than they are seen to know of later ones (see `identify`)."""
@@ -467,7 +467,7 @@ def _made_of_logged_rows(
         mean = [max(float(s.mean()), 1e-300) for s in size]
         each = 0.5 * (size[1] / mean[1] - size[0] / mean[0]) + 0.5 * np.log(mean[1] / mean[0])
         nats = np.array([part.sum() for part in np.array_split(each, _PARTS)])
-        if nats.sum() > max(_LEAST, _SURE * float(nats.std()) * _PARTS**0.5):
+        if signals.surely_more(nats):
             found.append(way.name)
     return tuple(found)
 

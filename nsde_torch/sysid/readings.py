@@ -32,6 +32,7 @@ from nsde_torch.effects.coordinates import MOVING
 from nsde_torch.effects.law import joined_name
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.rough import Objection, beginnings, left_at, rough_fit, share_left
+from nsde_torch.sysid.signals import surely_more
 from nsde_torch.systems import System
 from nsde_torch.systems.multirotor import Multirotor
 
@@ -40,7 +41,6 @@ BANDS_S = ((0.02, 0.3), (0.1, 1.0))  # lengths of means, and of longer ones that
 LATEST_S = 0.06  # how late motors may act, by a lag or a delay [s]
 _BLOCK_S = 0.5
 _FEWEST = 8  # blocks
-_SURE, _LEAST = 3.0, 10.0  # standard errors and nats by which an order is surely better
 
 
 @dataclass(frozen=True)
@@ -59,9 +59,7 @@ class MotorOrder:
 
     def surely_better(self, other: "MotorOrder") -> bool:
         """Whether the moments speak clearly for this order."""
-        difference = self.blocks - other.blocks
-        error = float(difference.std() * len(difference) ** 0.5)
-        return float(difference.sum()) > max(_LEAST, _SURE * error)
+        return surely_more(self.blocks - other.blocks)
 
 
 def motor_orders(

@@ -27,6 +27,7 @@ _ROWS = 4000  # steps that the mixing of the inputs is read from
 _SAME = 0.99  # cosine between directions that are one
 _STEADY = 0.5  # share of a slope's square that its mean must have to be a direction
 _RANK = 1e-9  # of the largest variance
+_SURE, _LEAST = 3.0, 10.0  # standard errors, and nats
 
 
 @dataclass(frozen=True)
@@ -112,6 +113,11 @@ def score_tests(innovations: Array, columns: Array, fitted: Array) -> list[tuple
         # what chance alone predicts is taken off
         out.append((float(chi2.sf(statistic, count)), max(0.0, 1.0 - (1.0 - share) * (free + count) / free)))
     return out
+
+
+def surely_more(nats: Array) -> bool:
+    """Whether nats by block of time (B,) are surely more than nothing: by ten, and three errors of their scatter."""
+    return float(nats.sum()) > max(_LEAST, _SURE * float(nats.std()) * len(nats) ** 0.5)
 
 
 def holm(chances: Sequence[float]) -> list[float]:

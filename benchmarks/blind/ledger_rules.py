@@ -79,9 +79,7 @@ def _changed(name: str, purpose: str, *where: str) -> Rule:
 SEARCH = "joint_selection.JointSearch"
 RULES = (
     # ---- of the whole log
-    _changed(
-        "late sensor", "a sensor that is late explains what effects were named for", "pipeline._read_again"
-    ),
+    _found("late_columns", "a column that is late is moved before the search", "pipeline.late_columns", []),
     _changed("without_standstill", "rows of standstill are left out", "pipeline.without_standstill"),
     # ---- findings that become leads, and the verdict
     _lead("doubted", "nothing is sure where simple fits speak against the final physics"),

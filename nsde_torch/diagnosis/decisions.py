@@ -140,9 +140,6 @@ class Decisions:
     far_above_noise: float = key(
         10.0, "times white noise that is left, from which sizes at bounds and drifts are doubted", low=1
     )
-    late_sensor_share: float = key(
-        0.1, "share of the structure, in nats, that a late sensor may leave to stand for the effects"
-    )
 
     # ---- what could not be detected ---------------------------------------------------------------------
     detectable_errors: float = key(

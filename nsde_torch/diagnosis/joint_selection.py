@@ -370,7 +370,7 @@ class JointSearch:
             names = candidate_names(place.system, self.search.candidates)
             tried = f"{len(names)} effect{'s' if len(names) > 1 else ''}"
             self.search.say(f"round {count + 1}: trying {tried}", count, most)
-            better = self._or_a_law(place, self._next(place))
+            better = self._or_a_law(place, self.with_one_more(place))
             # among those that count as declared is a delay of less than a step, and it may come back (odd_springs.py,
             # "wall of magnets", seed 1)
             name = (
@@ -500,8 +500,8 @@ class JointSearch:
                 place = without
         return place
 
-    def _next(self, place: FittedPhysics) -> FittedPhysics | None:
-        """The physics with the candidate that brings most once it is fitted.
+    def with_one_more(self, place: FittedPhysics) -> FittedPhysics | None:
+        """The physics with the candidate that brings most once it is fitted; None where none surely brings anything.
 
         Which one that is, a part of a long log tells: of six racing flights (NeuroBEM) six fits took two minutes.
         """

@@ -1,7 +1,7 @@
 """From measured runs and a declared model to the effects that it lacks: the stages of a diagnosis, in order.
 
 read            runs and logged channels, and options that fit the machine      reading
-undo            faults of the recording chain                                   reading, recording
+undo            faults of the recording chain; columns that are late            reading, recording, late_columns
 fit             the declared physics: a regression, then the joint likelihood   search, inference
 select          effects of the catalogue, one at a time; then each one again    joint_selection, feedback_bias
 exclude         what feedback may have made                                     decision, feedback_bias
@@ -63,6 +63,7 @@ from nsde_torch.diagnosis.joint_selection import (
     JointSelection,
     fitted_at,
 )
+from nsde_torch.diagnosis.late_columns import late_columns, on_time
 from nsde_torch.diagnosis.outcome import Found, Outcome, undecided
 from nsde_torch.diagnosis.periodicity import HIGHEST, lines
 from nsde_torch.diagnosis.reading import (
@@ -71,13 +72,11 @@ from nsde_torch.diagnosis.reading import (
     at_declared,
     at_found,
     cut_at,
-    explains_more,
     not_sure,
     read_effects,
     read_log,
     undone,
     where_it_moves,
-    with_a_late_sensor,
     without_standstill,
 )
 from nsde_torch.diagnosis.regressors import MOST_RUNS
@@ -110,6 +109,7 @@ from nsde_torch.inference import LogLikelihood
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.progress import Say
 from nsde_torch.recording.chain import Recorded
+from nsde_torch.recording.fault import Detected
 from nsde_torch.sysid.guard import Guarded
 from nsde_torch.sysid.identify import by_likelihood, dependence_on_band, identification
 from nsde_torch.sysid.instruments import adopted
@@ -324,15 +324,23 @@ def _diagnosed(
 ) -> Diagnosis:
     stages, say, options = OptionalStages(too_long=course.too_long), course.say, course.options
     read_effects(system, runs, options)
-    say("checking the recording chain", 0, 1)
-    recorded = stages.attempt(
-        "faults of the recording chain",
-        lambda: undone(course.data, runs, system, options, decisions, budgets),
-        Recorded(tuple(runs), 1.0, ()),
-    )
-    log = read_log(system, recorded, options, decisions=decisions, budgets=budgets, say=say)
-    log = at_declared(replace(log, stages=stages, so_far=course.known))
+
+    def read(some: Sequence[Run], late: Sequence[Detected]) -> Log:
+        say("checking the recording chain", 0, 1)
+        recorded = stages.attempt(
+            "faults of the recording chain",
+            lambda: undone(course.data, some, system, options, decisions, budgets),
+            Recorded(tuple(some), 1.0, ()),
+        )
+        log = read_log(system, recorded.after(late), options, decisions=decisions, budgets=budgets, say=say)
+        return at_declared(replace(log, stages=stages, so_far=course.known))
+
+    log = read(runs, ())
     search = log.search(log.runs)
+    late = stages.attempt("columns that are late", lambda: late_columns(search, log), [])
+    if late:
+        log = read(on_time(runs, system, late), late)
+        search = log.search(log.runs)
     log = stages.attempt("numbers of the runs", lambda: _numbered(log, search), log)
     search = log.search(log.runs) if log.by_number else search
     course.lap("recording")
@@ -349,9 +357,6 @@ def _diagnosed(
         )
 
     now = again("rates inferred with what was found", lambda now: at_found(now, _concluded))
-    if now.outcome.structured:
-        say("checking the recording chain", 0, 1)
-        now = again("a sensor that is late as a whole", _read_again)
     now = again(MOVING_ROWS, lambda now: without_standstill(now, searched))
     now = now._replace(search=_of_the_same_rows(now.search, now.outcome.joint))
     course.guard, before = guarded(), now.outcome
@@ -582,16 +587,6 @@ def _concluded(log: Log, search: Search, joint: JointSelection | None) -> Outcom
     outcome = decide(search, chosen, alone)
     log.so_far(TESTS, log, outcome)
     return outcome
-
-
-def _read_again(now: Concluded) -> Concluded:
-    """The log with a sensor moved that is late as a whole, and the search in it, where that explains more."""
-    moved = with_a_late_sensor(now.log, now.outcome)
-    if moved is None:
-        return now
-    search = moved.search(moved.runs)
-    other = Concluded(moved, search, searched(moved, search))
-    return other if explains_more(other.outcome, now.outcome) else now
 
 
 def _identified(log: Log, outcome: Outcome) -> tuple[Outcome, Identification | None]:

@@ -3,7 +3,6 @@
 Runs have the logged channels that an effect could read, their recording chain undone: the declared physics is its
 judge where kinematics cannot decide. A log is read again, and searched again,
 
-- with a sensor moved that is late as a whole, where that explains more than effects do;
 - with rates that no sensor measured inferred by the physics that was come to: first the declared physics, fitted, then
   what was found. Regressions need them, and the likelihood does not;
 - without the rows in which a machine with dry friction stands (`sysid.standstill`).
@@ -20,7 +19,6 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 import torch
 
-from nsde_torch.arrays import Array
 from nsde_torch.data import DataSet, Run
 from nsde_torch.diagnosis.candidates import candidate_names, check_candidates, on_coordinates
 from nsde_torch.diagnosis.decisions import Budgets, Decisions, Options
@@ -28,7 +26,7 @@ from nsde_torch.diagnosis.evidence import filtered_log
 from nsde_torch.diagnosis.feedback_bias import shown_by_instruments
 from nsde_torch.diagnosis.joint_selection import FittedPhysics, JointSelection
 from nsde_torch.diagnosis.outcome import Outcome
-from nsde_torch.diagnosis.search import Search, at_bounds, fitted_system
+from nsde_torch.diagnosis.search import Search, fitted_system
 from nsde_torch.diagnosis.stages import MOVING_ROWS, Begun, OptionalStages
 from nsde_torch.effects import effect_class
 from nsde_torch.effects.by_run import RUN, target_of
@@ -36,7 +34,7 @@ from nsde_torch.effects.law import Law
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
 from nsde_torch.inference import LogLikelihood
 from nsde_torch.progress import Say
-from nsde_torch.recording.chain import Recorded, instead_of_effects, undo
+from nsde_torch.recording.chain import Recorded, undo
 from nsde_torch.recording.fault import level
 from nsde_torch.recording.unmeasured_rates import measured_part
 from nsde_torch.sysid.feedback_test import FeedbackTest, tested
@@ -254,29 +252,6 @@ def undone(
 
     seen = measured_part(system, {name for run in runs for name in run.inferred})
     return undo(data, runs, seen, alpha=decisions.alpha, misfit=misfit)
-
-
-def with_a_late_sensor(read: Log, outcome: Outcome) -> Log | None:
-    """The log with a sensor moved that is late as a whole, where that explains more than effects do."""
-
-    def misfits(some: Sequence[Run]) -> Array:
-        return np.log([noise.std for noise in read.search(some).quick(read.system).noises])
-
-    final = outcome.final
-    with_effects = sum(log(noise.std) for noise in final.noises)
-    recorded = replace(read.recorded, runs=read.runs)
-    moved = instead_of_effects(recorded, read.system, misfits, rows=len(final.series), other=with_effects)
-    return None if moved is None else replace(read, recorded=moved, runs=tuple(moved.runs))
-
-
-def explains_more(moved: Outcome, outcome: Outcome) -> bool:
-    """Whether a late sensor explains most of the structure that the log as it is leaves, no parameter at a bound.
-
-    Else something else looks like it: an input of the other sign, say.
-    """
-    at_a_bound = bool(at_bounds(moved.declared).any())
-    here, there = (sum(max(d.excess, 0.0) for d in o.structured) for o in (outcome, moved))
-    return there < outcome.decisions.late_sensor_share * here and not at_a_bound
 
 
 # ---- inferred rates ------------------------------------------------------------------------------------

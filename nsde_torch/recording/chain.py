@@ -7,26 +7,18 @@ steps.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias, final
+from typing import Any, final
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
-from nsde_torch.arrays import Array
-from nsde_torch.data.kinematics import pairs_of
 from nsde_torch.data.raw import RawRun
 from nsde_torch.data.run import DataSet, Run
-from nsde_torch.data.system_info import SystemInfo, common_name
+from nsde_torch.data.system_info import SystemInfo
 from nsde_torch.errors import ConfigError
 from nsde_torch.options import check
 from nsde_torch.recording.fault import NATS, Detected, Fault, LoggedRuns
 from nsde_torch.recording.faults import FAULTS, ClockScale, in_order, recording_options
-from nsde_torch.recording.latency import on_time, suspected_latency
-
-Misfits: TypeAlias = Callable[[Sequence[Run]], Array]
-"""Negative log likelihood per row [nats] of the declared physics in runs, by channel."""
-_SENSOR_S, _SENSOR_NATS, _Z90 = 0.2, 20.0, 1.645
-"""Longest delay of a sensor as a whole, and how much likelier the log must be, as nothing else shows it."""
+from nsde_torch.recording.latency import suspected_latency
 
 
 @final
@@ -114,6 +106,22 @@ class Recorded:
         """What was found of a fault, by the names that `Fault.undo` takes."""
         return {k: v for f in self.faults if f.name == name for k, v in f.plain.items()}
 
+    def after(self, late: Sequence[Detected]) -> "Recorded":
+        """The same with columns that had been moved before, by what the chain shows of them and by that."""
+        shown = self.values("sensor_delay")
+
+        def sum_of(part: float | None, channel: str) -> float | None:
+            return None if part is None else part + shown.get(channel, 0.0)
+
+        def whole(one: Detected) -> Detected:
+            values = {
+                name: (value + shown.get(name, 0.0), sum_of(low, name), sum_of(high, name), unit)
+                for name, (value, low, high, unit) in one.values.items()
+            }
+            return replace(one, values=values)
+
+        return replace(self, faults=(*self.faults, *map(whole, late)))
+
     def like(self, run: Run, system: SystemInfo) -> Run:
         """A further run of the same log with the same faults undone."""
         for fault in in_order():
@@ -146,60 +154,3 @@ def undo(
             log.take_out(fault, suspect)
             found.append(suspect)
     return Recorded(tuple(log.runs), log.clock, tuple(found))
-
-
-def instead_of_effects(
-    found: Recorded, system: SystemInfo, misfits: Misfits, *, rows: int, other: float
-) -> Recorded | None:
-    """The log without the delay of one sensor, position and rate alike, against all else; None where there is none.
-
-    Kinematics do not show it, and effects that do the same pay for one channel with another. So it is asked for where
-    effects leave structure, has to do better than they, and no channel may pay for it: attitude and rates moved by the
-    time that motors lag behind would otherwise take their place. `rows` is the number of rows that `misfits` are per,
-    and `other` the misfit of physics with effects, all channels together.
-    """
-    runs = found.runs
-    pairs = [(common_name(positions), common_name(rates)) for positions, rates in pairs_of(system).values()]
-    step = runs[0].dt
-    longest = min(_SENSOR_S * runs[0].pace / step, 0.1 * min(b - a for run in runs for a, b in run.segments))
-    if len(pairs) < 2 or longest < 1.0:  # no sensor is late by as much as a step
-        return None
-    unmoved = misfits(runs)
-    other = min(other, float(unmoved.sum()))
-
-    def moved_by(steps: float, pair: tuple[str, str]) -> list[Run]:
-        return [on_time(run, system, dict.fromkeys(pair, steps * step)) for run in runs]
-
-    def misfit(steps: float, pair: tuple[str, str]) -> float:
-        return float(misfits(moved_by(steps, pair)).sum())
-
-    best = (np.inf, 0.0, pairs[0])
-    for pair in pairs:
-        at, here = 1.0, misfit(1.0, pair)
-        while 2.0 * at <= longest and (there := misfit(2.0 * at, pair)) < here:
-            at, here = 2.0 * at, there
-        if here < min(other - NATS / rows, best[0]):
-            bounds = (0.5 * at, min(2.0 * at, longest))
-            nearer = minimize_scalar(
-                misfit, args=(pair,), bounds=bounds, method="bounded", options={"maxiter": 8}
-            )
-            best = min((here, at, pair), (float(nearer.fun), float(nearer.x), pair))
-    here, at, pair = best
-    if here > other - _SENSOR_NATS / rows:
-        return None
-    without = tuple(moved_by(at, pair))
-    if (misfits(without) > unmoved + NATS / rows).any():
-        return None
-    curvature = float(misfits(moved_by(1.5 * at, pair)).sum()) - here
-    half = _Z90 * 0.5 * at * step / max(2.0 * rows * curvature, 1e-12) ** 0.5
-    if half >= at * step:  # another time would do as well: what it does is no delay's
-        return None
-    undone = found.values("sensor_delay")
-    wholes = {channel: at * step + undone.get(channel, 0.0) for channel in pair}
-    values = {channel: (whole, whole - half, whole + half, "s") for channel, whole in wholes.items()}
-    words = (
-        f"{' and '.join(pair)} are logged {1e3 * at * step:.3g} ms later than all else: the declared physics fits "
-        "better so than with any effects."
-    )
-    late = Detected("sensor_delay", values, None, words)
-    return replace(found, runs=without, faults=(*found.faults, late))

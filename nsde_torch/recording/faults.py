@@ -101,7 +101,7 @@ class SensorDelay(_Latency):
     )
     remedy = key(
         {},
-        "by how much states are logged late, {STATE: 0.01}, or {p: 0.01} for p_x p_y p_z, to take out",
+        "by how much states or inputs are logged late, {STATE: 0.01}, or {p: 0.01} for p_x p_y p_z, to take out",
         unit="s",
     )
     filtered = False

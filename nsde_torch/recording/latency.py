@@ -14,7 +14,8 @@ A filter of first order, d x_log' + x_log = x, is late by d too, at low frequenc
 what each leaves of the equation above once it is undone, x(t) = x_log(t + d) or x = x_log + d x_log'. The second makes
 noise larger; therefore both channels are averaged first, which leaves them as late as they are.
 
-A sensor whose position and rate are late alike shows in the declared physics alone (`chain.instead_of_effects`).
+A sensor whose position and rate are late alike, and a column that is no rate of another, show in the declared physics
+alone (`nsde_torch.diagnosis.late_columns`).
 Times are seconds of the log's own clock.
 """
 
@@ -244,18 +245,27 @@ def on_time(
 
     What a filter of first order made late is undone first, x = x_log + T x_log'. Both mix the noise of several rows
     (`Run.apart`), but for moves by whole ones. Delays (negative: early) and time constants are in seconds of the log,
-    by state or by the common name of several. A ConfigError refuses an unknown channel and a time that is no number, a
-    DataError a run that is too short.
+    by state or by the common name of several; a delay may be that of an input, which moves by whole rows as it is held
+    in between. A ConfigError refuses an unknown channel and a time that is no number, a DataError a run that is too
+    short.
     """
     for channel, d in (*late.items(), *(filters or {}).items()):
         if isinstance(d, bool) or not isinstance(d, int | float) or not isfinite(d):
             raise ConfigError(f"the time of {channel!r} must be a finite time [s]; got {d!r}.")
+    inputs = {
+        system.input_names.index(n): round(d / run.dt) for n, d in late.items() if n in system.input_names
+    }
     moves, filtered_by = (
-        [(channel_columns(system, channel), d / run.dt) for channel, d in times.items()]
+        [
+            (channel_columns(system, channel), d / run.dt)
+            for channel, d in times.items()
+            if channel not in system.input_names
+        ]
         for times in (late, filters or {})
     )
-    x, segments = run.x.copy(), []
-    first, last = (max((0, *(int(np.ceil(s * rows - 1e-9)) for _, rows in moves))) for s in (-1, 1))
+    x, u, segments = run.x.copy(), run.u.copy() if inputs else run.u, []
+    each = [*inputs.values(), *(rows for _, rows in moves)]
+    first, last = (max((0, *(int(np.ceil(s * rows - 1e-9)) for rows in each))) for s in (-1, 1))
     for a, b in run.segments:
         if b - a - first - last < 2:
             continue
@@ -263,6 +273,8 @@ def on_time(
             x[a:b, columns] = unfiltered(x[a:b, columns], rows)
         for columns, rows in moves:
             x[a:b, columns] = moved(x[a:b, columns], rows)
+        for column, whole in inputs.items():
+            u[a:b, column] = run.u[np.clip(np.arange(a, b) + whole, a, b - 1), column]
         if system.quaternion is not None:
             x[a:b, system.quaternion] /= np.linalg.norm(x[a:b, system.quaternion], axis=1, keepdims=True)
         segments.append((a + first, b - last))
@@ -275,7 +287,7 @@ def on_time(
     between_rows = [columns for columns, rows in moves if abs(rows - round(rows)) > _PART]
     mixed = [*between_rows, *(columns for columns, rows in filtered_by if abs(rows) > _PART)]
     apart = {system.state_names[j]: _APART for columns in mixed for j in columns}
-    return replace(run, x=x, segments=tuple(segments), apart={**run.apart, **apart})
+    return replace(run, x=x, u=u, segments=tuple(segments), apart={**run.apart, **apart})
 
 
 def moved(x: Array, rows: float) -> Array:

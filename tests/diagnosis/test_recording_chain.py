@@ -34,7 +34,7 @@ def test_friction_has_its_size_in_its_interval_behind_a_filter_whose_noise_came_
 
 
 @pytest.mark.slow
-def test_a_camera_whose_angle_and_rate_are_late_alike_is_found_where_effects_leave_structure() -> None:
+def test_a_camera_whose_angle_and_rate_are_late_alike_is_found() -> None:
     chain = Recording(sensor_delay={"theta": 0.04, "theta_dot": 0.04})
     _, content = diagnosed("cartpole", recording=chain, durations=(4.0,) * 4)
     assert content["added"] == ["sensor_delay"]

@@ -1,0 +1,189 @@
+"""Columns of a log that belong to another time and that no kinematics show: a gyro's, a camera's, an input's.
+
+    L(k) = log likelihood of the declared physics in the log with one stream moved back by k rows
+
+A stream is a position with its rate, any other state, an input, or all inputs. At the parameters and noise levels of
+the log as it is, L rises as rows are moved to where they belong; what the declared physics lacks does not make it rise,
+as a row is a long time where sensors are good (a column that is on time loses hundreds of nats by one). Where it rises,
+it has to do so surely beside the effect of the catalogue that explains most of the log as it is, too: a motor that lags
+is no late sensor, and a lag explains nothing more once sensors are moved. Inputs are moved to earlier times of the log
+alone: those that act late have effects. The optimum of a parabola through three moves says by what part of a row a
+state is late beyond whole ones.
+
+What is found is taken out before the search. Effects that mend what a late gyro does to a robot on two wheels, five of
+them, were looked for in vain for eight minutes (tests/diagnosis/test_late_columns.py).
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from math import inf
+
+import numpy as np
+import torch
+
+from nsde_torch.arrays import Array
+from nsde_torch.data import Run
+from nsde_torch.data.kinematics import pairs_of
+from nsde_torch.data.system_info import common_name
+from nsde_torch.diagnosis.evidence import sum_error
+from nsde_torch.diagnosis.joint_selection import FittedPhysics, JointSearch, fitted_at, sure_nats
+from nsde_torch.diagnosis.reading import Log
+from nsde_torch.diagnosis.search import Search, fitted_system
+from nsde_torch.errors import NsdeError
+from nsde_torch.inference import LogLikelihood
+from nsde_torch.inference.levels import Levels
+from nsde_torch.recording.fault import NATS, Detected
+from nsde_torch.recording.faults import SensorDelay
+from nsde_torch.sysid.rough import beginnings
+from nsde_torch.systems import System
+
+_LONGEST_S = 0.2  # that a sensor is late at the usual pace [s]
+_ROWS = 2500  # from the beginnings of runs that are looked at: 0.03 s for a move of a machine of two states
+_NATS = 20.0  # by which a late column has to be likelier than any effect, as nothing else shows it
+_PASSES = 2  # until the states that a filter is linearised about have settled
+_WHOLE = 0.25  # rows that a state may be off by: moves by parts of a row mix the noise of several
+_Z90 = 1.645
+
+
+@dataclass(frozen=True)
+class _Stream:
+    """Columns that come from one sensor, or one command."""
+
+    channels: tuple[str, ...]  # states, common names of several, or inputs
+    input: bool
+
+    @property
+    def named(self) -> str:
+        return " and ".join(self.channels) + (" are" if len(self.channels) > 1 else " is")
+
+
+def on_time(runs: Sequence[Run], system: System, late: Sequence[Detected]) -> list[Run]:
+    """Runs with columns moved back that are late."""
+    out = list(runs)
+    for one in late:
+        out = [SensorDelay().undo(run, system, one.plain) for run in out]
+    return out
+
+
+def late_columns(search: Search, log: Log) -> list[Detected]:
+    """Streams that are late against all else, and that nothing else explains; `search` is one in the log's runs.
+
+    Raises:
+        DataError: no stretch is long enough for a likelihood.
+    """
+    clock, runs = log.recorded.clock, log.runs
+    if any(run.band for run in runs):  # smoothed states look ahead, and seem to come before what acts on them
+        return []
+    seconds = _ROWS * runs[0].dt * clock / runs[0].pace
+    some: Sequence[Run] = beginnings(runs, clock, seconds=seconds, fewest=100)
+    streams = list(_streams(log.system, inputs=not log.recorded.inputs_restored))
+    found: list[Detected] = []
+    while streams:
+        late = _latest(search, fitted_system(search.quick(log.system)), some, clock, streams)
+        if late is None:
+            break
+        stream, one = late
+        streams.remove(stream)
+        found.append(one)
+        some = on_time(some, log.system, [one])
+    return found
+
+
+def _streams(system: System, *, inputs: bool) -> Iterator[_Stream]:
+    pairs = [(common_name(p), common_name(v)) for p, v in pairs_of(system).values()]
+    paired = {name for p, v in pairs_of(system).values() for name in (*p, *v)}
+    states = [*pairs, *((n,) for n in system.state_names if n not in paired)]
+    if len(states) > 1:  # else it is an input that acts late
+        yield from (_Stream(channels, False) for channels in states)
+    if inputs and system.nu:
+        if system.nu > 1:
+            yield _Stream(tuple(system.input_names), True)
+        yield from (_Stream((name,), True) for name in system.input_names)
+
+
+def _latest(
+    search: Search, system: System, runs: Sequence[Run], clock: float, streams: Sequence[_Stream]
+) -> tuple[_Stream, Detected] | None:
+    """The stream that is most surely late, and by how much; None where none is."""
+    step = runs[0].dt
+    most = int(
+        min(_LONGEST_S * runs[0].pace / step, 0.1 * min(b - a for run in runs for a, b in run.segments))
+    )
+    if most < 1:
+        return None
+    inner = [tuple((a, b - most) for a, b in run.segments) for run in runs]
+
+    def moved(stream: _Stream | None, rows: float) -> list[Run]:
+        values = dict.fromkeys(() if stream is None or not rows else stream.channels, rows * step)
+        there = [SensorDelay().undo(run, system, values) for run in runs] if values else runs
+        return [replace(run, segments=own) for run, own in zip(there, inner, strict=True)]
+
+    def fitted(some: Sequence[Run], physics: System) -> FittedPhysics:
+        return fitted_at(LogLikelihood(physics, some, clock, run_in=True), physics, None)
+
+    here = fitted(moved(None, 0.0), system)
+    at_rest = _blocks(here.system, moved(None, 0.0), here.at.levels, clock)
+    best, rises = None, sure_nats(search, 0.0)
+    for stream in streams:
+
+        def blocks(rows: float, stream: _Stream = stream) -> Array:
+            try:
+                return _blocks(here.system, moved(stream, rows), here.at.levels, clock)
+            except (NsdeError, np.linalg.LinAlgError, torch.linalg.LinAlgError):
+                return np.full(len(at_rest), -inf)
+
+        rows, there = 1, blocks(1.0)
+        while rows < most and (further := blocks(rows + 1.0)).sum() > there.sum():
+            rows, there = rows + 1, further
+        risen = there - at_rest
+        if risen.sum() > max(rises, sure_nats(search, sum_error(risen))):
+            best, rises = (stream, rows), float(risen.sum())
+    if best is None:
+        return None
+    stream, rows = best
+    alone = JointSearch(search, here.at.of, here.system)
+    logged = alone.with_one_more(alone.declared) or alone.declared
+    late = fitted(moved(stream, float(rows)), logged.system)
+    difference = late.at.blocks - logged.at.blocks
+    nats = float(difference.sum())
+    if not nats > max(_NATS, sure_nats(search, sum_error(difference))):
+        return None
+    # where a channel pays for another it is no sensor's time
+    if (late.at.by_channel < logged.at.by_channel - NATS).any():
+        return None
+    of = _off(late, lambda k: moved(stream, rows + k), clock)
+    if of is None:
+        return None
+    off, error = of
+    time = rows if stream.input or abs(off) < max(_WHOLE, _Z90 * error) else rows + off
+    half = max(_Z90 * error, abs(rows + off - time))
+    interval = (time * step, (time - half) * step, (time + half) * step, "s")
+    beside = sorted(alone.added(logged.system))
+    words = (
+        f"{stream.named} logged {1e3 * time * step:.3g} ms later than all else: the declared physics is likelier by "
+        f"{rises:.0f} nats so" + (f", and by {nats:.0f} beside {beside[0]}." if beside else ".")
+    )
+    return stream, Detected(SensorDelay.name, dict.fromkeys(stream.channels, interval), None, words)
+
+
+@torch.no_grad()
+def _blocks(system: System, runs: Sequence[Run], levels: Levels, clock: float) -> Array:
+    """Log likelihood of each block of time (B,) at the values of a system and noise levels [nats]."""
+    problem = LogLikelihood(system, runs, clock, run_in=True)
+    _, about = problem.first(problem.vector.inside(problem.vector.start))
+    _, at = problem.settled(levels, about, problem.filtered(levels, about), _PASSES)
+    chunks = problem.space.chunks
+    return chunks.blocks(torch.stack([at.rows[a:b].sum(0) for a, b in chunks.parts]))
+
+
+def _off(
+    late: FittedPhysics, moved: Callable[[float], Sequence[Run]], clock: float
+) -> tuple[float, float] | None:
+    """Rows beyond those that a stream was moved by, and their standard error; None where L has no maximum near."""
+    before, here, after = (
+        float(_blocks(late.system, moved(k), late.at.levels, clock).sum()) for k in (-1.0, 0.0, 1.0)
+    )
+    bend = 2.0 * here - before - after
+    if not bend > 0:
+        return None
+    return 0.5 * (after - before) / bend, (late.best.inflation / bend) ** 0.5

@@ -85,7 +85,7 @@ RULES = (
     _lead("doubted", "nothing is sure where simple fits speak against the final physics"),
     _lead("sized", "an effect whose interval holds nothing is a lead"),
     _lead("judged_on_runs_left_out", "an effect that runs left out speak against is a lead"),
-    _lead("not_sure", "nothing is sure where rates of several coordinates were inferred", 1),
+    _lead("not_sure", "no change at a moment is sure where the residual depends on time", 1),
     _lead("judged_by_the_ceiling", "what functions explain is structure: leads, and the verdict"),
     _found(
         "structure where it acts", "a lead where much is left in its channels", "decision._too_much", False

@@ -1,6 +1,6 @@
 """Springs that remember: hysteresis, play of the input, a spring behind a damper, a fluid that is dragged along.
 
-    q'' = -k q - b v + g u_eff - f,     Bouc-Wen  f = s z,  z' = (v - (|v| z + v |z|) / 2) / d
+    q'' = -k q - b v + g u_eff - f,     Bouc-Wen  f = s z,  z' = (v - w |v| z - (1 - w) v |z|) / d
                                         Dahl      f = s z,  z' = (v - |v| z) / d
                                         Maxwell   f = 6 s z,  z' = v - z / T
                                         fluid     f = 4 s (v - z),  z' = (v - z) / T
@@ -55,8 +55,8 @@ def run(kind: str, values: dict[str, float], rng: np.random.Generator) -> tuple[
         turn = 0.0
         if kind in ("bouc_wen", "dahl"):
             force -= size * z
-            turn = v - (0.5 * (abs(v) * z + v * abs(z)) if kind == "bouc_wen" else abs(v) * z)
-            turn /= reach
+            weight = values["weight"] if kind == "bouc_wen" else 1.0
+            turn = (v - weight * abs(v) * z - (1.0 - weight) * v * abs(z)) / reach
         elif kind == "maxwell":
             force -= 6.0 * size * z
             turn = v - z / slow
@@ -83,11 +83,13 @@ def case(seed: int, i: int) -> Json:
     values |= {"size": rng.uniform(0.25, 0.6), "reach": rng.uniform(0.03, 0.25)}
     values["slow"] = float(np.exp(rng.uniform(np.log(0.15), np.log(2.0))))
     values["time"] = float(rng.uniform(0.1, 0.4) if kind == "play" else rng.uniform(0.02, 0.06))
+    values["weight"] = 1.0 if kind == "dahl" else rng.uniform(0.3, 0.9)
     runs = []
     for n in range(4):
         x, u = run(kind, values, np.random.default_rng([seed, i, n]))
         runs.append(RawRun(f"run_{n}", DT * np.arange(len(x)) + 100.0 * n, x, u))
-    true = {RIGHT[kind]: {}} if RIGHT[kind] else {}
+    of_way = {n: values[n] for n in ("size", "reach", "weight")} if kind in ("bouc_wen", "dahl") else {}
+    true = {RIGHT[kind]: of_way} if RIGHT[kind] else {}
     return {"kind": kind, "values": values, **judged(diagnosed(runs, "mass_spring_damper")[1], true)}
 
 

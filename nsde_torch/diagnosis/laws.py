@@ -40,6 +40,8 @@ from nsde_torch.systems.vocabulary import seen_by, vocabulary
 _KNOTS = (0.05, 0.2, 0.5, 0.8, 0.95)  # quantiles that hinges start from
 _SELDOM = 0.01  # share of values of the other sign that is noise
 _WIDTH = 0.05  # of a sign, of the 90 % quantile of the variable
+# of what saturates. From the narrow one alone 1.6 tanh(r / 0.9) of a helicopter's yaw was a peak and a cube
+_SATURATES = 0.4
 _TURNS = (1, 2, 3)  # times an angle
 _NAME = r"(\w+|\(\w+ - \w+\))"  # of a variable, or of the difference of two
 _DIFFERENCE = re.compile(r"\((\w+) - (\w+)\)")
@@ -129,7 +131,8 @@ def _of_one(name: str, v: Array, angle: bool, speed: bool) -> Iterator[LawTerm]:
     for text in (f"abs({name})", f"abs({name}) {name}") if signed else ():
         yield LawTerm((text,))
     size = _size(v)
-    yield LawTerm((f"sign({name}, k1)",), (("k1", _WIDTH * size),))
+    for share in (_WIDTH, _SATURATES):
+        yield LawTerm((f"sign({name}, k1)",), (("k1", share * size),))
     for share in _PEAKS:
         yield LawTerm((f"peak({name}, k1)",), (("k1", share * size),))
     # of speeds the public drive EMPS had four laws in the place of a dry friction and a steady force

@@ -257,7 +257,6 @@ def undone(
 # ---- inferred rates ------------------------------------------------------------------------------------
 
 _SLOWLY = "the residual still depends on time: it may change slowly"
-_SEVERAL = "the rates of several coordinates were inferred from positions"
 _TURNS = 2  # of fits of the declared physics
 
 
@@ -283,14 +282,10 @@ def at_found(now: Concluded, concluded: Callable[[Log, Search, JointSelection | 
 
 
 def not_sure(log: Log, outcome: Outcome) -> Outcome:
-    """The outcome; nothing that was found is sure where the rates of several coordinates were inferred.
+    """The outcome; no change at a moment is sure where the residual depends on time.
 
-    What is not known of one rate biases the forces on all of them, and dampings that are not there were named. And no
-    change at a moment is sure where the residual depends on time: a gain that fell as a motor warmed up, in 25 s,
-    changed between 15.4 and 17.6 s, surely.
+    A gain that fell as a motor warmed up, in 25 s, changed between 15.4 and 17.6 s, surely.
     """
-    if len(log.runs[0].inferred) > 1:
-        return outcome.provisional(lambda _: _SEVERAL)
     with_time = {d.channel for d in outcome.structured if log.moments and d.variable == "time"}
     return outcome.provisional(lambda f: _SLOWLY if target_of(f.name) and with_time & {*f.moves} else "")
 

@@ -342,6 +342,8 @@ class Effect(Parametrised, ABC):
 
     def __init__(self, values: Mapping[str, float | list[float]] | None = None, *, n_inputs: int = 1) -> None:
         self.n_inputs = n_inputs
+        self.row_s = 0.0
+        """Time between the rows that a likelihood predicts [s], which memory moves no faster than; 0: it may."""
         self.step = 0.0
         """Step of the integrator [s], for effects of `whole_steps`. 0: rate and term are those of the instant."""
         self.PARAMETERS = {k: _widened(p, n_inputs) for k, p in self.PARAMETERS.items()}  # type: ignore[misc]

@@ -257,19 +257,27 @@ class DriftVelocity(Law):
         return self.velocity.expand(x.shape[0], 1)
 
 
+_FOLLOWED = 1.6  # reaches within a row, of which a step of Runge and Kutta's leaves least
+
+
 class Hysteresis(Law):
     """A force that depends on the way it came: a spring that yields, rubber, cables, presliding friction (Bouc-Wen).
 
-    Of the model with exponent 1 and equal weights, z in [-1, 1]. Where d goes to nothing it is dry friction.
+    Of the model with exponent 1, z in [-1, 1]: of a weight w of 1 it is Dahl's friction. Where d goes to nothing it is
+    dry friction. With a weight of 0.5 alone, a piezo stage of 0.75 had six more effects that mended it.
     """
 
     reads_position = True
     states = 1  # the share z of the force at which it yields
-    formula = "-s z, dz/dt = (v - (|v| z + v |z|) / 2) / d"
-    source = "Bouc, Acustica 24 (1971); Wen, J. Eng. Mech. Div. 102 (1976)"
+    formula = "-s z, dz/dt = (v - w |v| z - (1 - w) v |z|) / d"
+    source = "Bouc, Acustica 24 (1971); Wen, J. Eng. Mech. Div. 102 (1976); Dahl, AIAA Journal 14 (1976)"
     size = Size(0.1, "force", low=0.0, help="force where it yields")
     reach = Parameter(0.05, "position", low=0.0, help="way in which it builds up")
-    shapes = {"reach": (0.05, 0.2, 0.6)}
+    weight = Parameter(0.5, "1", low=0.1, high=1.5, scale=0.1, help="of |v| z; the rest is of v |z|")
+    shapes = {"reach": (0.05, 0.2, 0.6), "weight": (0.5,)}
+    smooth = ("weight",)
+    # what it is at the start is not known, and a long reach does not forget it: sizes were 2 errors off
+    estimated = True
     relative = {"reach": "position"}
     includes = ("coulomb_friction",)
     sentence = (
@@ -283,14 +291,18 @@ class Hysteresis(Law):
 
     def memory_rate(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         v, z = self.v(x), memory.clamp(-1.0, 1.0)
-        return (v - 0.5 * (v.abs() * z + v * z.abs())) / self.reach
+        rate = (v - self.weight * v.abs() * z - (1.0 - self.weight) * v * z.abs()) / self.reach
+        if self.row_s:  # explicit steps follow it no faster: of a short reach it turns round in some rows
+            rate = rate / (1.0 + (v.abs() * self.row_s / (_FOLLOWED * self.reach)) ** 4) ** 0.25
+        return rate
 
     def followed(self, x: Tensor, dt: float) -> Tensor:
         from nsde_torch.effects.recursions import bouc_wen
 
         v, reach = self.v(x)[:, 0], float(self.reach.detach())
         ways = torch.cat((0.5 * (v[1:] + v[:-1]), v[-1:])) * (dt / reach)
-        return torch.from_numpy(bouc_wen(ways.double().numpy(), float(v[0].sign())))[:, None].to(x.dtype)
+        z = bouc_wen(ways.double().numpy(), float(v[0].sign()), float(self.weight.detach()))
+        return torch.from_numpy(z)[:, None].to(x.dtype)
 
     def memory_start(self, x: Tensor, u: Tensor) -> Tensor:
         return self.v(x).sign()  # it has come this way for long

@@ -3,7 +3,7 @@
 Imported where they are run: Numba takes half a second to import, and only identification needs them.
 """
 
-from math import exp
+from math import exp, log
 
 import numpy as np
 
@@ -73,18 +73,27 @@ def second_order(over: Array, start: Array, v: Array, slope: Array) -> Array:
 
 
 @compiled
-def bouc_wen(ways: Array, z: float) -> Array:
+def bouc_wen(ways: Array, z: float, weight: float) -> Array:
     """Hysteresis z (n + 1,) along ways (n,), as multiples of its reach, from its value at the start.
 
-    While a way keeps its sign, z is a line up to nothing and an exponential beyond.
+    While a way keeps its sign, z is one exponential up to nothing, a line where the weight of |v| z is a half, and
+    another one beyond.
     """
     out = np.empty(len(ways) + 1)
     out[0] = z
+    bend = 2.0 * weight - 1.0
     for i in range(len(ways)):
         side = 1.0 if ways[i] > 0 else -1.0
         z, left = side * z, abs(ways[i])
-        straight = min(left, max(-z, 0.0))
-        z, left = z + straight, left - straight
+        if z < 0.0:
+            curved = abs(bend) > 1e-6
+            to_nothing = log(1.0 - bend * z) / bend if curved else -z
+            way = min(left, to_nothing)
+            if way < to_nothing:
+                z += (1.0 - bend * z) * (1.0 - exp(-bend * way)) / bend if curved else way
+            else:
+                z = 0.0
+            left -= way
         z = side * (1.0 - (1.0 - z) * exp(-left) if left > 0 else z)
         out[i + 1] = z
     return out

@@ -165,6 +165,7 @@ class ParameterVector:
     def follow(self, dt: float) -> None:
         """Raise the lower bounds of times so that steps of `dt` [s] follow the memory of the effects."""
         for place, effect, own in self._of_effects():
+            effect.row_s = dt
             if (share := effect.resolved.get(own)) is not None:
                 self.low[place.columns] = np.maximum(self.low[place.columns], share * dt)
 

@@ -202,3 +202,38 @@ def test_a_regression_that_runs_away_is_where_the_likelihood_begins_and_no_more(
     content = diagnosed("mass_spring_damper", {"coulomb_friction": {"size": 0.4}}, options=few)[1]
     assert content["added"] == ["coulomb_friction"]
     assert_interval(content["parameters"], "coulomb_friction.size", 0.4, width=0.1)
+
+
+@pytest.mark.parametrize("weight", [0.3, 1.0])
+def test_a_force_that_remembers_its_way_has_its_size_whatever_its_loop_looks_like(weight: float) -> None:
+    """Of weights of 0.5 alone, Dahl's friction (1) was another force of the wrong size."""
+    reach, size, runs = 0.08, 0.5, []
+    for number in range(3):
+        rng = np.random.default_rng([31, number])
+        t = 0.01 * np.arange(1500)
+        waves = [
+            np.sin(2.0 * np.pi * f * t + p)
+            for f, p in zip((0.23, 0.61, 1.1), rng.uniform(0, 6, 3), strict=True)
+        ]
+
+        def rates(y: Array, u: Array) -> list[float]:
+            q, v, z = y
+            turns = (v - weight * abs(v) * z - (1.0 - weight) * v * abs(z)) / reach
+            return [v, 1.2 * u[0] - 3.0 * q - 0.4 * v - size * z, turns]
+
+        noise = [1e-3, 1e-2, 0.0]
+        run = simulated(
+            number,
+            rates,
+            [0.2, 0.0, 0.0],
+            1.5 * sum(waves)[:, None],
+            0.01,
+            rng=rng,
+            noise=noise,
+            kick=[0.0, 0.02, 0.0],
+        )
+        runs.append(replace(run, x=run.x[:, :2]))
+    found = nsde_torch.diagnose(runs, system="mass_spring_damper", say=False).content()
+    assert found["added"] == ["hysteresis"]
+    for name, true in (("size", size), ("reach", reach), ("weight", weight)):
+        assert_interval(found["parameters"], f"hysteresis.{name}", true)

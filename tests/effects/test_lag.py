@@ -140,20 +140,24 @@ def _follows(v: Any, m: Any, time: float) -> Any:
     return (v - m) / time
 
 
-def _bouc_wen(v: Any, z: Any, reach: float) -> Any:
-    return (v - 0.5 * (abs(v) * z + v * abs(z))) / reach
+def _bouc_wen(weight: float) -> Any:
+    return lambda v, z, reach: (v - weight * abs(v) * z - (1.0 - weight) * v * abs(z)) / reach
 
 
 @pytest.mark.parametrize(
-    ("name", "key", "value", "rate", "begins", "within"),
+    ("name", "values", "rate", "begins", "within"),
     [
-        *(("relaxation", "time", time, _follows, 0.5, 5e-4) for time in (0.03, 4.0)),
-        *(("viscoelasticity", "time", time, _follows, 0.0, 5e-4) for time in (0.03, 4.0)),
-        *(("hysteresis", "reach", reach, _bouc_wen, 1.0, 0.03) for reach in (0.02, 0.3)),
+        *(("relaxation", {"time": time}, _follows, 0.5, 5e-4) for time in (0.03, 4.0)),
+        *(("viscoelasticity", {"time": time}, _follows, 0.0, 5e-4) for time in (0.03, 4.0)),
+        *(
+            ("hysteresis", {"reach": reach, "weight": weight}, _bouc_wen(weight), 1.0, 0.03)
+            for reach in (0.02, 0.3)
+            for weight in (0.3, 0.5, 0.75, 1.0)
+        ),
     ],
 )
 def test_memory_along_states_is_that_of_the_differential_equation(
-    name: str, key: str, value: float, rate: Any, begins: float, within: float
+    name: str, values: dict[str, float], rate: Any, begins: float, within: float
 ) -> None:
     ends = DT * np.arange(1001)
 
@@ -161,9 +165,14 @@ def test_memory_along_states_is_that_of_the_differential_equation(
         return np.sin(2.0 * at) + 0.5 * np.cos(5.0 * at)
 
     found = solve_ivp(
-        lambda at, m: rate(v(at), m, value), (0.0, ends[-1]), [begins], t_eval=ends, rtol=1e-9, max_step=DT
+        lambda at, m: rate(v(at), m, next(iter(values.values()))),
+        (0.0, ends[-1]),
+        [begins],
+        t_eval=ends,
+        rtol=1e-9,
+        max_step=DT,
     )
-    effect = effect_class(name)({key: value}).double()
+    effect = effect_class(name)(values).double()
     along = effect.followed(torch.from_numpy(np.column_stack((0.0 * ends[:-1], v(ends[:-1])))), DT)
     np.testing.assert_allclose(along[:-1, 0], found.y[0][:-1], atol=within)
     assert effect.followed(torch.zeros(1, 2).double(), DT).shape == (2, 1)

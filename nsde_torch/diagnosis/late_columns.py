@@ -6,9 +6,9 @@ A stream is a position with its rate, any other state, an input, or all inputs. 
 the log as it is, L rises as rows are moved to where they belong; what the declared physics lacks does not make it rise,
 as a row is a long time where sensors are good (a column that is on time loses hundreds of nats by one). Where it rises,
 it has to do so surely beside the effect of the catalogue that explains most of the log as it is, too: a motor that lags
-is no late sensor, and a lag explains nothing more once sensors are moved. Inputs are moved to earlier times of the log
-alone: those that act late have effects. The optimum of a parabola through three moves says by what part of a row a
-state is late beyond whole ones.
+is no late sensor, and a lag explains nothing more once sensors are moved. A state may be behind a filter of first order
+instead (`_behind_a_filter`). Inputs are moved to earlier times of the log alone: those that act late have effects. The
+optimum of a parabola through three moves says by what part of a row a state is late beyond whole ones.
 
 What is found is taken out before the search. Effects that mend what a late gyro does to a robot on two wheels, five of
 them, were looked for in vain for eight minutes (tests/diagnosis/test_late_columns.py).
@@ -20,11 +20,12 @@ from math import inf
 
 import numpy as np
 import torch
+from scipy.optimize import minimize_scalar
 
 from nsde_torch.arrays import Array
 from nsde_torch.data import Run
 from nsde_torch.data.kinematics import pairs_of
-from nsde_torch.data.system_info import common_name
+from nsde_torch.data.system_info import channel_columns, common_name
 from nsde_torch.diagnosis.evidence import sum_error
 from nsde_torch.diagnosis.joint_selection import FittedPhysics, JointSearch, fitted_at, sure_nats
 from nsde_torch.diagnosis.reading import Log
@@ -33,7 +34,7 @@ from nsde_torch.errors import NsdeError
 from nsde_torch.inference import LogLikelihood
 from nsde_torch.inference.levels import Levels
 from nsde_torch.recording.fault import NATS, Detected
-from nsde_torch.recording.faults import SensorDelay
+from nsde_torch.recording.faults import FAULTS, SensorDelay, SensorLag
 from nsde_torch.sysid.rough import beginnings
 from nsde_torch.systems import System
 
@@ -43,6 +44,8 @@ _NATS = 20.0  # by which a late column has to be likelier than any effect, as no
 _PASSES = 2  # until the states that a filter is linearised about have settled
 _WHOLE = 0.25  # rows that a state may be off by: moves by parts of a row mix the noise of several
 _Z90 = 1.645
+_FILTER_NATS = 10.0  # by which a filter has to explain more than a delay
+_WAVES = 2000  # of an integral over frequencies
 
 
 @dataclass(frozen=True)
@@ -58,34 +61,34 @@ class _Stream:
 
 
 def on_time(runs: Sequence[Run], system: System, late: Sequence[Detected]) -> list[Run]:
-    """Runs with columns moved back that are late."""
+    """Runs with columns moved back that are late, or what a filter did to them undone."""
     out = list(runs)
     for one in late:
-        out = [SensorDelay().undo(run, system, one.plain) for run in out]
+        out = [FAULTS[one.name].undo(run, system, one.plain) for run in out]
     return out
 
 
-def late_columns(search: Search, log: Log) -> list[Detected]:
+def late_columns(search: Search, read: Log) -> list[Detected]:
     """Streams that are late against all else, and that nothing else explains; `search` is one in the log's runs.
 
     Raises:
         DataError: no stretch is long enough for a likelihood.
     """
-    clock, runs = log.recorded.clock, log.runs
+    clock, runs = read.recorded.clock, read.runs
     if any(run.band for run in runs):  # smoothed states look ahead, and seem to come before what acts on them
         return []
     seconds = _ROWS * runs[0].dt * clock / runs[0].pace
     some: Sequence[Run] = beginnings(runs, clock, seconds=seconds, fewest=100)
-    streams = list(_streams(log.system, inputs=not log.recorded.inputs_restored))
+    streams = list(_streams(read.system, inputs=not read.recorded.inputs_restored))
     found: list[Detected] = []
     while streams:
-        late = _latest(search, fitted_system(search.quick(log.system)), some, clock, streams)
+        late = _latest(search, fitted_system(search.quick(read.system)), some, clock, streams)
         if late is None:
             break
         stream, one = late
         streams.remove(stream)
         found.append(one)
-        some = on_time(some, log.system, [one])
+        some = on_time(some, read.system, [one])
     return found
 
 
@@ -157,13 +160,86 @@ def _latest(
     off, error = of
     time = rows if stream.input or abs(off) < max(_WHOLE, _Z90 * error) else rows + off
     half = max(_Z90 * error, abs(rows + off - time))
-    interval = (time * step, (time - half) * step, (time + half) * step, "s")
+    seconds, name, how = time * step, SensorDelay.name, "later than all else"
+    interval: tuple[float | None, float | None] = (seconds - half * step, seconds + half * step)
+    if not stream.input:
+
+        def lagged(time: float) -> list[Run]:
+            values = dict.fromkeys(stream.channels, time * step)
+            there = [replace(SensorLag().undo(run, system, values), apart=run.apart) for run in runs]
+            return [replace(run, segments=own) for run, own in zip(there, inner, strict=True)]
+
+        columns = _columns(system, stream)
+        behind = _behind_a_filter(
+            search, late, columns, time, lambda rows, physics: fitted(lagged(rows), physics)
+        )
+        if behind is not None:  # what the physics lacks beside biases it
+            seconds, interval = behind * step, (None, None)
+            name, how = SensorLag.name, "late behind a filter of first order"
     beside = sorted(alone.added(logged.system))
     words = (
-        f"{stream.named} logged {1e3 * time * step:.3g} ms later than all else: the declared physics is likelier by "
-        f"{rises:.0f} nats so" + (f", and by {nats:.0f} beside {beside[0]}." if beside else ".")
+        f"{stream.named} logged {1e3 * seconds:.3g} ms {how}: the declared physics is likelier by {rises:.0f} nats "
+        "where what comes late is moved back"
+        + (f", and by {nats:.0f} beside {beside[0]}." if beside else ".")
     )
-    return stream, Detected(SensorDelay.name, dict.fromkeys(stream.channels, interval), None, words)
+    return stream, Detected(name, dict.fromkeys(stream.channels, (seconds, *interval, "s")), None, words)
+
+
+def _columns(system: System, stream: _Stream) -> set[str]:
+    """Names of the states that come from a stream."""
+    return {system.state_names[k] for channel in stream.channels for k in channel_columns(system, channel)}
+
+
+def _behind_a_filter(
+    search: Search,
+    late: FittedPhysics,
+    own: set[str],
+    rows: float,
+    fitted: Callable[[float, System], FittedPhysics],
+) -> float | None:
+    """Rows that a filter of first order takes, where that explains surely more than a delay.
+
+    `late` is the fit where states are moved by so many `rows`, `fitted` that where a filter of so many is undone. Of
+    densities of what was logged, x' = x + T D x for the slope D of a spline:
+
+        log p(x) = log p(x') + N / 2 pi  integral of log |1 + i T s(w)|,    s(w) = 3 sin w / (2 + cos w)
+
+    Noise that came after the filter is louder once it is undone, and speaks for a delay. So other channels may say it
+    alone: an airspeed behind a tube of 0.15 s is 119 nats more itself as a delay, and 51 less for the rest of a glider.
+    How long it takes is found beside the effect that explains most of the log with the filter undone.
+    """
+    others = [k for k, name in enumerate(late.at.of.channels) if name not in own]
+    count = int(late.at.of.space.chunks.counted.sum()) * (len(late.at.of.channels) - len(others))
+    w = (np.arange(_WAVES) + 0.5) * np.pi / _WAVES
+    slope = 3.0 * np.sin(w) / (2.0 + np.cos(w))
+
+    def score(time: float, physics: System) -> tuple[float, float]:
+        there = fitted(time, physics)
+        louder = 0.5 * count * float(np.log1p(np.square(time * slope)).mean())
+        return there.best.likelihood + louder, float(there.at.by_channel[others].sum())
+
+    def best(physics: System, about: float) -> float:
+        found = minimize_scalar(
+            lambda time: -score(time, physics)[0],
+            bounds=(0.5 * about, 2.0 * about),
+            method="bounded",
+            options={"maxiter": 8},
+        )
+        return float(found.x)
+
+    try:
+        time = best(late.system, rows)
+        whole, rest = score(time, late.system)
+        surely = whole > late.best.likelihood + _FILTER_NATS
+        surely |= bool(others) and rest > float(late.at.by_channel[others].sum()) + _FILTER_NATS
+        if not surely:
+            return None
+        there = fitted(time, late.system)
+        undone = JointSearch(search, there.at.of, there.system)
+        more = undone.with_one_more(undone.declared)
+        return time if more is None else best(more.system, time)
+    except (NsdeError, np.linalg.LinAlgError, torch.linalg.LinAlgError):
+        return None
 
 
 @torch.no_grad()

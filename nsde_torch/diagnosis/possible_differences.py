@@ -17,7 +17,7 @@ from nsde_torch.diagnosis.candidates import candidate_names, effect_of, joined, 
 from nsde_torch.diagnosis.joint_selection import FittedPhysics
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.effects import Effect, Port
-from nsde_torch.effects.by_run import MASS, OF_EACH_RUN, ByRun
+from nsde_torch.effects.by_run import MASS, OF_EACH_RUN, ByRun, RunInertia
 from nsde_torch.effects.expression_grammar import is_law
 from nsde_torch.effects.law import joined_name, split_name
 from nsde_torch.errors import NsdeError
@@ -75,7 +75,10 @@ def columns_beside(
     apart = [slice(1 + a, 1 + a + k) for _, _, a, k in new]
     table = torch.cat([t.float() for t in tables], -1)
     held = grams(space, place.at.levels, about, place.at.at, table, apart=apart)
-    candidates = [PossibleDifference(s, target, np.eye(at)[:, a : a + k], True) for target, s, a, k in new]
+    candidates = [
+        PossibleDifference(s, target, np.eye(at)[:, a : a + k], split_name(target)[0] != RunInertia.name)
+        for target, s, a, k in new
+    ]
     candidates += _of_the_physics(place, at, together, steady)
     return ColumnsBeside(candidates, table, held.blocks)
 
@@ -100,7 +103,7 @@ def _not_there(search: Search, place: FittedPhysics, steady: bool) -> Iterator[t
             found = [{**start, **dict.fromkeys(sizes, 0.0)} for start in found[-1:]]
         if len(sizes) != 1 or cls.exogenous or not _acts_linearly(cls):
             continue
-        each = OF_EACH_RUN.get(law)
+        each = OF_EACH_RUN.get(law, RunInertia.name if law in RunInertia.includes else None)
         target = f"{name}/{sizes[0]}" if each is None else joined_name(each, coordinate)
         for start in found:
             try:

@@ -25,7 +25,7 @@ from nsde_torch.diagnosis.joint_selection import FittedPhysics
 from nsde_torch.diagnosis.possible_differences import ColumnsBeside, PossibleDifference
 from nsde_torch.diagnosis.reading import Log
 from nsde_torch.diagnosis.search import Search
-from nsde_torch.effects.by_run import BY_RUN
+from nsde_torch.effects.by_run import OF_EACH_RUN
 from nsde_torch.effects.law import split_name
 from nsde_torch.inference.sensitivity import inverted, rows_of
 
@@ -106,7 +106,7 @@ def _windows(one: PossibleDifference, count: int) -> Iterator[Labels]:
     """
     begin = np.arange(_EDGE, count - _EDGE)
     yield np.stack((begin, np.full_like(begin, count)), 1)
-    if split_name(one.target)[0] in BY_RUN and count > 3 * _EDGE:
+    if split_name(one.target)[0] in OF_EACH_RUN.values() and count > 3 * _EDGE:
         apart = max(1, count // _ENDS)
         each = np.arange(_EDGE, count - _EDGE + 1, apart)
         first, last = (k.ravel() for k in np.meshgrid(each, each, indexing="ij"))

@@ -21,7 +21,7 @@ import torch
 from torch import Tensor
 
 from nsde_torch.effects.base import Effect, Parameter, Port, Size
-from nsde_torch.effects.forces import PositionBias
+from nsde_torch.effects.forces import AddedInertia, PositionBias
 from nsde_torch.effects.multirotor_forces import ConstantWorldForce
 from nsde_torch.effects.steady import ConstantForce, PeriodicForce
 
@@ -120,6 +120,27 @@ class RunWorldForce(ByRun, ConstantWorldForce):
         return self.of_run(u)
 
 
+class RunInertia(ByRun, AddedInertia):
+    """What moves is heavier or longer in a run than in the first one: a load that was added or taken off.
+
+    Of a machine whose parameters are all over its inertia, that of the first run is part of them: with a share of its
+    own there, data showed none of the shares of a knee whose leg differed (tests/diagnosis/test_between_runs.py).
+    """
+
+    first = 1
+    formula = "-s_r v' in run r, of the acceleration that all else makes"
+    source = "another load"
+    includes = ("added_inertia",)
+    sentence = (
+        "{it} accelerates by a share of {share} less than in the run that it is held against (below 0: more): another "
+        "load moves with it."
+    )
+    separate = "weigh what moves in each run, or swing it freely"
+
+    def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        return -self.of_run(u)
+
+
 class RunPeriodicForce(ByRun, PeriodicForce):
     """A force that oscillates with the same frequency in each run and begins each with a phase of its own.
 
@@ -162,9 +183,11 @@ class RunDifference(ByRun):
         return self.of_run(u)
 
 
-BY_RUN: dict[str, type[Effect]] = {cls.name: cls for cls in (RunForce, RunZero, RunWorldForce)}
+OF_ALL_RUNS: tuple[type[ByRun], ...] = (RunForce, RunZero, RunWorldForce)
+_CLASSES: tuple[type[ByRun], ...] = (*OF_ALL_RUNS, RunInertia)
+BY_RUN: dict[str, type[Effect]] = {cls.name: cls for cls in _CLASSES}
 """Effects with a size for each run: no candidates of a search, which leaves whole runs out."""
-OF_EACH_RUN = {cls.includes[0]: name for name, cls in BY_RUN.items()}
+OF_EACH_RUN = {cls.includes[0]: cls.name for cls in OF_ALL_RUNS}
 """The effect with a size for each run, by that with one for all."""
 
 

@@ -108,12 +108,13 @@ class Recorded:
 
     def after(self, late: Sequence[Detected]) -> "Recorded":
         """The same with columns that had been moved before, by what the chain shows of them and by that."""
-        shown = self.values("sensor_delay")
-
-        def sum_of(part: float | None, channel: str) -> float | None:
-            return None if part is None else part + shown.get(channel, 0.0)
 
         def whole(one: Detected) -> Detected:
+            shown = self.values(one.name)
+
+            def sum_of(part: float | None, channel: str) -> float | None:
+                return None if part is None else part + shown.get(channel, 0.0)
+
             values = {
                 name: (value + shown.get(name, 0.0), sum_of(low, name), sum_of(high, name), unit)
                 for name, (value, low, high, unit) in one.values.items()

@@ -16,6 +16,7 @@ from nsde_torch.data.raw import RawRun
 from nsde_torch.diagnosis.stages import MOVING_ROWS
 from nsde_torch.diagnosis.text import lines
 from nsde_torch.errors import ConfigError
+from tests.helpers.machines import Array, held, simulated
 from tests.helpers.own_machines import STEP, pushed_spring
 
 HOME, SPRING = "double_pendulum:DoublePendulum", "mass_spring_damper"
@@ -55,6 +56,31 @@ def sizes(content: dict[str, Any], effect: str) -> dict[str, tuple[float, float,
     """Value and interval of an effect in each run."""
     own = [p for name, p in content["parameters"].items() if name.startswith(f"{effect}.")]
     return {p["run"]: (p["value"], *p["interval_90"]) for p in own}
+
+
+@pytest.mark.slow
+def test_a_load_of_a_run_has_its_share_where_all_parameters_are_over_the_inertia(
+    root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With a share of the first run too, as of other effects, data showed none: all parameters scale with it."""
+    monkeypatch.syspath_prepend(root / "examples" / "pendulum")
+    runs = []
+    for number, load in enumerate((1.0, 1.25, 0.9)):
+
+        def rates(x: Array, u: Array, load: float = load) -> list[float]:
+            return [x[1], (12.0 * u[0] - 9.0 * np.sin(x[0]) - 0.2 * x[1]) / load]
+
+        rng = np.random.default_rng(number)
+        pushes = held(rng, -0.8, 0.8, 1000, each=60)
+        how = {"noise": (0.001, 0.005), "kick": (0.0, 0.05), "rng": rng}
+        runs.append(simulated(number, rates, [0.3, 0.0], pushes, 0.01, **how))
+    content = diagnosed(runs, "pendulum:Pendulum")
+    assert content["added"] == ["run_inertia"]
+    found = sizes(content, "run_inertia")
+    for run, share in (("run_1", 0.2), ("run_2", 1.0 - 1.0 / 0.9)):
+        _, low, high = found[run]
+        assert low < share < high
+        assert high - low < 0.02
 
 
 @pytest.mark.slow

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 import nsde_torch
 from nsde_torch.data import RawRun, Run
@@ -38,6 +39,24 @@ def test_a_column_that_is_a_row_late_is_found_beside_a_drag(
     assert found["added"] == ["sensor_delay", DRAG]
     assert_interval(found["parameters"], f"sensor_delay.{channel}", 0.05, width=0.01)
     assert_interval(found["parameters"], f"{DRAG}.c1", -0.3, width=0.01)
+
+
+def _turn_filtered(run: RawRun, time: float) -> RawRun:
+    """The turn through a filter of first order, straight between rows, with the noise of a converter behind it."""
+    keep = float(np.exp(-0.05 / time))
+    new, old = 1.0 - time / 0.05 * (1.0 - keep), time / 0.05 * (1.0 - keep) - keep
+    x = run.x.copy()
+    x[:, 2] = lfilter([new, old], [1.0, -keep], run.x[:, 2], zi=run.x[:1, 2] * (keep + old))[0]
+    x[:, 2] += 0.01 * np.random.default_rng(len(x)).standard_normal(len(x))
+    return replace(run, x=x)
+
+
+def test_a_sensor_behind_a_filter_is_that_and_no_delay() -> None:
+    runs = [_turn_filtered(run, 0.15) for run in sailed(slip=0.3)]
+    found = nsde_torch.diagnose(runs, system=BOAT, say=False).content()
+    assert found["added"][0] == "sensor_lag"
+    assert found["parameters"]["sensor_lag.turn"]["value"] == pytest.approx(0.15, rel=0.15)
+    assert DRAG in found["added"]
 
 
 def test_nothing_is_late_where_an_input_acts_late() -> None:

@@ -112,11 +112,26 @@ def with_laws(
     left = joint.functions is not None and joint.functions.nats
     more = laws.selected(joint, ()) if left or laws.unseen(joint.final) else None
     if more is not None:
-        return conclude(more)
+        return conclude(_of_one_law(laws, more))
     kept = outcome.joint  # without what feedback may have made
     return (
         replace(outcome, joint=joint) if kept and kept.selected.keys() == joint.selected.keys() else outcome
     )
+
+
+def _of_one_law(laws: LawSearch, joint: JointSelection) -> JointSelection:
+    """The selection, or one with fewer effects, where a law explains what an effect and a law beside it do.
+
+    A torque `wind omega` of a turbine's rotor was a quadratic damping, surely, and a law of the wind beside it.
+    """
+    beside = [name for name in joint.selected if is_law(name)]
+    for name in [name for name in joint.selected if not is_law(name)] if len(beside) == 1 else ():
+        other = laws.selected(joint, (name, *beside))
+        if other is None or len(other.selected) >= len(joint.selected):
+            continue
+        if other.final.value > joint.final.value:
+            return other
+    return joint
 
 
 class LawSearch:

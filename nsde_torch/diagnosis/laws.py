@@ -48,6 +48,7 @@ _DIFFERENCE = re.compile(r"\((\w+) - (\w+)\)")
 # at one end of k1: the variable
 _CURVED = re.compile(rf"(?:sign|peak)\({_NAME}, k1\)|expm1\(k1 {_NAME}\)")
 _ABOUT_A_PLACE = re.compile(rf"(\w+)\({_NAME} - k1, (k2|0)\)")  # the function, its variable, its width
+_COSINE = re.compile(rf"cos\((?:\d )?{_NAME}\) | cos\((?:\d )?{_NAME}\)$")  # as a factor
 _WAVE = re.compile(rf"(sin|cos)\((?:\d )?{_NAME}\)")
 # an eddy brake, largest at 8 rad/s, was five laws of the speed beside one another; a spring of rubber had no form
 _PEAKS = (0.2, 0.6)  # where a peak lies, of the same quantile
@@ -198,10 +199,12 @@ class Term:
             return False
         if set(other.parts) < set(self.parts):
             return True
-        # nor is one of a state less another that hardly moves: of a boat's drag `abs(turn) (surge - sway)`
+        # nor is one of a state less another that hardly moves: of a boat's drag `abs(turn) (surge - sway)`; nor one
+        # times the cosine of an angle that hardly turns: of a torque `theta_dot v` of a robot that stands upright
+        simpler = [(_DIFFERENCE, r"\1"), (_DIFFERENCE, r"\2"), (_COSINE, "")]
         if any(
-            {*map(_words_of, other.parts)} == {_words_of(_DIFFERENCE.sub(state, part)) for part in self.parts}
-            for state in (r"\1", r"\2")
+            {*map(_words_of, other.parts)} == {_words_of(of.sub(left, part)) for part in self.parts}
+            for of, left in simpler
         ):
             return set(other.parts) != set(self.parts)
         if not self.start:

@@ -141,7 +141,8 @@ class Diagnosis:
         for fault in self.faults:
             for name, (value, low, high, unit) in fault.values.items():
                 ends = None if low is None else [low, high]
-                sensed = {"value": value, "interval_90": ends, "bound": None, "unit": unit}
+                none = None if ends else "without an interval"
+                sensed = {"value": value, "interval_90": ends, "bound": none, "unit": unit}
                 out[f"{fault.name}.{name}"] = sensed
         for f in self.outcome.found:
             for e in self.outcome.estimates(f.name):

@@ -135,6 +135,7 @@ def test_every_term_of_the_library_is_of_the_grammar_and_has_one_spelling() -> N
         (("sin(k1 psi)", "cos(k1 psi)"), ("sin(2 psi)",), True),
         (("peak((a - b), k1)",), ("(a - b)",), True),
         (("abs(turn) (surge - sway)",), ("surge abs(turn)",), True),
+        (("cos(2 theta) theta_dot v",), ("theta_dot v",), True),
         (("pull(v - k1, k2)",), ("sign(v, k1)",), False),
         (("sign(v, k1)",), ("sign(v - k1, k2)",), False),
     ],

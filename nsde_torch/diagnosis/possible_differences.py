@@ -23,7 +23,7 @@ from nsde_torch.effects.law import joined_name, split_name
 from nsde_torch.errors import NsdeError
 from nsde_torch.inference.sensitivity import grams
 from nsde_torch.systems import System
-from nsde_torch.systems.in_run import OVER_MASS, may_differ
+from nsde_torch.systems.in_run import OVER_MASS, may_differ, of_mass
 from nsde_torch.systems.parameters import Place
 
 _ROWS = 5  # of the data, at which formulas are asked whether a parameter may differ between rows
@@ -161,7 +161,13 @@ def _of_the_physics(
     if together and len(machine) > 1 and not system.over_mass:
         turn = np.concatenate([every[:, at.columns] for at in machine], 1)
         yield PossibleDifference(system, ",".join(at.name for at in machine), turn, False)
-    if not steady and system.over_mass and MASS not in differing and int((mass != 0).sum()) > 1:
+    if (
+        not steady
+        and system.over_mass
+        and of_mass(system, MASS)
+        and MASS not in differing
+        and int((mass != 0).sum()) > 1
+    ):
         yield PossibleDifference(system, MASS, mass, False)
 
 

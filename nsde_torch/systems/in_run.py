@@ -36,7 +36,7 @@ def in_its_run(system: System, effects: Sequence[int], u: Tensor) -> Iterator[Te
             effect = system.effects[k]
             assert isinstance(effect, by_run.RunDifference)
             change = effect.of_run(u[:, column : column + 1])
-            if effect.target == by_run.MASS:
+            if of_mass(system, effect.target):
                 lighter = 1.0 / (1.0 + change)
                 turned, own = _times(lighter), [(cast(Parametrised, system), n) for n in system.over_mass]
             else:
@@ -76,6 +76,11 @@ def row_by_row(
     return out
 
 
+def of_mass(system: System, target: str) -> bool:
+    """Whether a target is what forces are over, and no parameter of the machine's own that is called `mass`."""
+    return target == by_run.MASS and by_run.MASS not in system.declared_parameters()
+
+
 def owner_of(system: System, target: str) -> tuple[Parametrised, str]:
     """The machine or the effect that has a parameter, and the name of it there; a ConfigError where there is none."""
     effect, _, own = target.rpartition("/")
@@ -95,7 +100,7 @@ def difference_on(system: System, target: str) -> type[by_run.RunDifference]:
 
     A ConfigError where there is no such parameter, or the machine does not say what goes with its mass.
     """
-    if target == by_run.MASS:
+    if of_mass(system, target):
         if not system.over_mass:
             raise ConfigError(
                 f"system {system.name!r} does not say which parameters go with its mass (`over_mass`)."
@@ -128,7 +133,7 @@ def in_new_runs(system: System, spread: Mapping[str, Sequence[float]], draws: Te
         assert isinstance(effect, by_run.ByRun)
         effect.drawn = draws[:, first : first + len(std)] * draws.new_tensor(std)
         first += len(std)
-        if target == by_run.MASS:
+        if of_mass(system, target):
             effect.drawn = effect.drawn.clamp_min(-_MOST)
         elif isinstance(effect, by_run.RunDifference):
             owner, name = owner_of(system, target)

@@ -31,7 +31,7 @@ from nsde_torch.inference.functions import Functions, seen_by_networks
 from nsde_torch.inference.sensitivity import Grams, grams, half_squares, solved
 from nsde_torch.systems import System
 from nsde_torch.systems.coordinates import no_zero
-from nsde_torch.systems.in_run import OVER_MASS, difference_on, may_differ
+from nsde_torch.systems.in_run import OVER_MASS, difference_on, may_differ, of_mass
 from nsde_torch.systems.parameters import ParameterVector
 
 FEWEST = 3
@@ -229,9 +229,9 @@ def spreads(system: System) -> list[RunSpread]:
         each = effect.value(key).detach().double().reshape(effect.width, -1).T.numpy()
         each = np.concatenate((np.zeros((effect.first, effect.width)), each))
         count = len(each)
-        if target_of(str(effect.name)) == MASS:  # relative to the mean
+        if of_mass(system, target_of(str(effect.name))):  # relative to the mean
             each = (1.0 + each) / (1.0 + each.mean(0)) - 1.0
-        if effect.first:  # about the mean, which is not known better than by these runs
+        if target_of(str(effect.name)):  # about the mean, which is not known better than by these runs
             each = each - each.mean(0)
             square, degrees = np.square(each).sum(0) / (count - 1) * (1.0 + 1.0 / count), count - 1
         else:  # about nothing
@@ -249,10 +249,10 @@ def means(vector: ParameterVector, numbers: System) -> Array:
     shifts: dict[str, Array] = {}
     heavier = 0.0
     for effect in numbers.effects:
-        if isinstance(effect, ByRun) and effect.first:
+        if isinstance(effect, ByRun) and target_of(str(effect.name)):
             each = effect.value("change").detach().double().reshape(effect.width, -1).numpy()
             shift = each.sum(1) / (each.shape[1] + 1)
-            if target_of(str(effect.name)) == MASS:
+            if of_mass(numbers, target_of(str(effect.name))):
                 heavier = float(shift[0])
             shifts[target_of(str(effect.name)).replace("/", ".")] = shift
     for place in vector.places:

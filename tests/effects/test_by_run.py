@@ -6,12 +6,13 @@ import pytest
 import torch
 from torch import Tensor
 
-from nsde_torch.effects import Effect, effect_class, effects_of, key_of
+from nsde_torch.effects import Effect, Parameter, effect_class, effects_of, key_of
 from nsde_torch.effects.by_run import BY_RUN, MASS, RUN, ByRun, difference_name
 from nsde_torch.systems import System, make_system
 from nsde_torch.systems.in_run import difference_on
 from nsde_torch.systems.parameters import ParameterVector
 from tests.helpers.effect_rows import random_rows
+from tests.helpers.own_machines import Car
 
 RUNS = torch.tensor([[0.0], [1.0], [2.0], [-1.0], [7.0]], dtype=torch.float64)
 ALL = ("mass_spring_damper", "cartpole", "hexacopter", "quadrotor")
@@ -57,6 +58,23 @@ def test_a_parameter_that_differs_has_its_value_in_each_run() -> None:
     expected = -torch.tensor([0.0, 0.5, -0.25, 0.0, 0.0], dtype=torch.float64) * x[:, 0]
     assert torch.allclose(found - still, expected)
     assert torch.allclose(system.drift(0.0, x, u)[:, 1], still)  # the machine itself stays as it is
+
+
+def test_a_parameter_of_its_own_that_is_called_mass_differs_as_any_other() -> None:
+    """It was taken for what machines say of their mass (`over_mass`): this one does not, and a diagnosis ended."""
+
+    class Loaded(Car):
+        PARAMETERS = {**Car.PARAMETERS, "mass": Parameter(2.0, "kg", low=0.1)}
+
+        def dynamics(self, t: Any, x: Tensor, u: Tensor, forces: Any) -> Tensor:
+            return super().dynamics(t, x, u, forces) / self.value("mass")
+
+    system = Loaded().double()
+    x, u, wide = rows(system)
+    plain = system.drift(0.0, x, u)
+    found = differing(system, MASS, 2.0, 0.0).drift(0.0, x, wide)
+    torch.testing.assert_close(found[1], plain[1] / 2.0)
+    torch.testing.assert_close(found[2], plain[2])
 
 
 def test_forces_and_zeros_of_each_run() -> None:

@@ -2,14 +2,13 @@
 
     L(k) = log likelihood of the declared physics in the log with one stream moved back by k rows
 
-A stream is a position with its rate, any other state, an input, or all inputs. L rises as rows are moved to where they
-belong; what the declared physics lacks does not make it rise, as a row is a long time where sensors are good (a column
-that is on time loses hundreds of nats by one). Parameters are fitted to each move, in two steps: of a belt whose load's
-encoder was two rows late they had taken it up, and L fell without. Where L rises, it has to do so surely beside the
-effect of the catalogue that explains most of the log as it is, too: a motor that lags is no late sensor, and a lag
-explains nothing more once sensors are moved. A state may be behind a filter of first order instead
-(`_behind_a_filter`). Inputs are moved to earlier times of the log alone: those that act late have effects. The optimum
-of a parabola through three moves says by what part of a row a state is late beyond whole ones.
+A stream is a position with its rate, any other state, an input, or all inputs. At the parameters and noise levels of
+the log as it is, L rises as rows are moved to where they belong; what the declared physics lacks does not make it rise,
+as a row is a long time where sensors are good (a column that is on time loses hundreds of nats by one). Where it rises,
+it has to do so surely beside the effect of the catalogue that explains most of the log as it is, too: a motor that lags
+is no late sensor, and a lag explains nothing more once sensors are moved. A state may be behind a filter of first order
+instead (`_behind_a_filter`). Inputs are moved to earlier times of the log alone: those that act late have effects. The
+optimum of a parabola through three moves says by what part of a row a state is late beyond whole ones.
 
 What is found is taken out before the search. Effects that mend what a late gyro does to a robot on two wheels, five of
 them, were looked for in vain for eight minutes (tests/diagnosis/test_late_columns.py).
@@ -33,6 +32,7 @@ from nsde_torch.diagnosis.reading import Log
 from nsde_torch.diagnosis.search import Search, fitted_system
 from nsde_torch.errors import NsdeError
 from nsde_torch.inference import LogLikelihood
+from nsde_torch.inference.levels import Levels
 from nsde_torch.recording.fault import NATS, Detected
 from nsde_torch.recording.faults import FAULTS, SensorDelay, SensorLag
 from nsde_torch.sysid.rough import beginnings
@@ -41,7 +41,7 @@ from nsde_torch.systems import System
 _LONGEST_S = 0.2  # that a sensor is late at the usual pace [s]
 _ROWS = 2500  # from the beginnings of runs that are looked at: 0.03 s for a move of a machine of two states
 _NATS = 20.0  # by which a late column has to be likelier than any effect, as nothing else shows it
-_FEW, _ALL = 2, 12  # steps of a fit
+_PASSES = 2  # until the states that a filter is linearised about have settled
 _WHOLE = 0.25  # rows that a state may be off by: moves by parts of a row mix the noise of several
 _Z90 = 1.645
 _FILTER_NATS = 10.0  # by which a filter has to explain more than a delay
@@ -121,41 +121,40 @@ def _latest(
         there = [SensorDelay().undo(run, system, values) for run in runs] if values else runs
         return [replace(run, segments=own) for run, own in zip(there, inner, strict=True)]
 
-    def fitted(some: Sequence[Run], physics: System, turns: int = _ALL) -> FittedPhysics:
-        return fitted_at(LogLikelihood(physics, some, clock, run_in=True), physics, None, turns=turns)
+    def fitted(some: Sequence[Run], physics: System) -> FittedPhysics:
+        return fitted_at(LogLikelihood(physics, some, clock, run_in=True), physics, None)
 
     here = fitted(moved(None, 0.0), system)
+    at_rest = _blocks(here.system, moved(None, 0.0), here.at.levels, clock)
     best, rises = None, sure_nats(search, 0.0)
     for stream in streams:
 
-        def risen(rows: int, stream: _Stream = stream) -> Array:
+        def blocks(rows: float, stream: _Stream = stream) -> Array:
             try:
-                late = fitted(moved(stream, float(rows)), here.system, _FEW)
+                return _blocks(here.system, moved(stream, rows), here.at.levels, clock)
             except (NsdeError, np.linalg.LinAlgError, torch.linalg.LinAlgError):
-                return np.full(len(here.at.blocks), -inf)
-            return late.at.blocks - here.at.blocks
+                return np.full(len(at_rest), -inf)
 
-        rows, there = 1, risen(1)
-        while rows < most and (further := risen(rows + 1)).sum() > there.sum():
+        rows, there = 1, blocks(1.0)
+        while rows < most and (further := blocks(rows + 1.0)).sum() > there.sum():
             rows, there = rows + 1, further
-        if there.sum() > max(rises, sure_nats(search, sum_error(there))):
-            best, rises = (stream, rows), float(there.sum())
+        risen = there - at_rest
+        if risen.sum() > max(rises, sure_nats(search, sum_error(risen))):
+            best, rises = (stream, rows), float(risen.sum())
     if best is None:
         return None
     stream, rows = best
     alone = JointSearch(search, here.at.of, here.system)
     logged = alone.with_one_more(alone.declared) or alone.declared
-    # an effect that is no more may hold a fit below that of the declared physics
-    each = (fitted(moved(stream, float(rows)), physics) for physics in (logged.system, here.system))
-    late = max(each, key=lambda there: there.best.likelihood)
+    late = fitted(moved(stream, float(rows)), logged.system)
     difference = late.at.blocks - logged.at.blocks
     nats = float(difference.sum())
     if not nats > max(_NATS, sure_nats(search, sum_error(difference))):
         return None
     # where a channel pays for another it is no sensor's time
-    if (late.at.by_channel < here.at.by_channel - NATS).any():
+    if (late.at.by_channel < logged.at.by_channel - NATS).any():
         return None
-    of = _off(late, lambda k: fitted(moved(stream, rows + k), late.system, _FEW))
+    of = _off(late, lambda k: moved(stream, rows + k), clock)
     if of is None:
         return None
     off, error = of
@@ -243,10 +242,24 @@ def _behind_a_filter(
         return None
 
 
-def _off(late: FittedPhysics, moved: Callable[[float], FittedPhysics]) -> tuple[float, float] | None:
+@torch.no_grad()
+def _blocks(system: System, runs: Sequence[Run], levels: Levels, clock: float) -> Array:
+    """Log likelihood of each block of time (B,) at the values of a system and noise levels [nats]."""
+    problem = LogLikelihood(system, runs, clock, run_in=True)
+    _, about = problem.first(problem.vector.inside(problem.vector.start))
+    _, at = problem.settled(levels, about, problem.filtered(levels, about), _PASSES)
+    chunks = problem.space.chunks
+    return chunks.blocks(torch.stack([at.rows[a:b].sum(0) for a, b in chunks.parts]))
+
+
+def _off(
+    late: FittedPhysics, moved: Callable[[float], Sequence[Run]], clock: float
+) -> tuple[float, float] | None:
     """Rows beyond those that a stream was moved by, and their standard error; None where L has no maximum near."""
-    before, after = (moved(k).best.likelihood for k in (-1.0, 1.0))
-    bend = 2.0 * late.best.likelihood - before - after
+    before, here, after = (
+        float(_blocks(late.system, moved(k), late.at.levels, clock).sum()) for k in (-1.0, 0.0, 1.0)
+    )
+    bend = 2.0 * here - before - after
     if not bend > 0:
         return None
     return 0.5 * (after - before) / bend, (late.best.inflation / bend) ** 0.5

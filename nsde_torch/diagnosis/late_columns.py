@@ -11,7 +11,7 @@ instead (`_behind_a_filter`). Inputs are moved to earlier times of the log alone
 optimum of a parabola through three moves says by what part of a row a state is late beyond whole ones.
 
 What is found is taken out before the search. Effects that mend what a late gyro does to a robot on two wheels, five of
-them, were looked for in vain for eight minutes (tests/diagnosis/test_late_columns.py).
+them, were looked for in vain for eight minutes (a boat's in tests/diagnosis/test_late_columns.py).
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -33,8 +33,9 @@ from nsde_torch.diagnosis.search import Search, fitted_system
 from nsde_torch.errors import NsdeError
 from nsde_torch.inference import LogLikelihood
 from nsde_torch.inference.levels import Levels
-from nsde_torch.recording.fault import NATS, Detected
-from nsde_torch.recording.faults import FAULTS, SensorDelay, SensorLag
+from nsde_torch.recording.chain import Recorded
+from nsde_torch.recording.fault import NATS, Detected, Fault
+from nsde_torch.recording.faults import SensorDelay, SensorLag
 from nsde_torch.sysid.rough import beginnings
 from nsde_torch.systems import System
 
@@ -60,14 +61,6 @@ class _Stream:
         return " and ".join(self.channels) + (" are" if len(self.channels) > 1 else " is")
 
 
-def on_time(runs: Sequence[Run], system: System, late: Sequence[Detected]) -> list[Run]:
-    """Runs with columns moved back that are late, or what a filter did to them undone."""
-    out = list(runs)
-    for one in late:
-        out = [FAULTS[one.name].undo(run, system, one.plain) for run in out]
-    return out
-
-
 def late_columns(search: Search, read: Log) -> list[Detected]:
     """Streams that are late against all else, and that nothing else explains; `search` is one in the log's runs.
 
@@ -80,15 +73,16 @@ def late_columns(search: Search, read: Log) -> list[Detected]:
     seconds = _ROWS * runs[0].dt * clock / runs[0].pace
     some: Sequence[Run] = beginnings(runs, clock, seconds=seconds, fewest=100)
     streams = list(_streams(read.system, inputs=not read.recorded.inputs_restored))
-    found: list[Detected] = []
+    physics, found = fitted_system(search.quick(read.system)), list[Detected]()
     while streams:
-        late = _latest(search, fitted_system(search.quick(read.system)), some, clock, streams)
+        late = _latest(search, physics, some, clock, streams)
         if late is None:
             break
         stream, one = late
         streams.remove(stream)
         found.append(one)
-        some = on_time(some, read.system, [one])
+        undone = Recorded(tuple(some), 1.0, (one,))
+        some = [undone.like(run, read.system) for run in some]
     return found
 
 
@@ -114,24 +108,27 @@ def _latest(
     )
     if most < 1:
         return None
-    inner = [tuple((a, b - most) for a, b in run.segments) for run in runs]
+    as_logged = [replace(run, segments=tuple((a, b - most) for a, b in run.segments)) for run in runs]
 
-    def moved(stream: _Stream | None, rows: float) -> list[Run]:
-        values = dict.fromkeys(() if stream is None or not rows else stream.channels, rows * step)
-        there = [SensorDelay().undo(run, system, values) for run in runs] if values else runs
-        return [replace(run, segments=own) for run, own in zip(there, inner, strict=True)]
+    def without(fault: Fault, stream: _Stream, rows: float) -> list[Run]:
+        values = dict.fromkeys(stream.channels, rows * step)
+        # of every row, as logged: densities of other rows cannot be compared
+        return [
+            replace(fault.undo(run, system, values), segments=own.segments, apart=run.apart)
+            for run, own in zip(runs, as_logged, strict=True)
+        ]
 
     def fitted(some: Sequence[Run], physics: System) -> FittedPhysics:
         return fitted_at(LogLikelihood(physics, some, clock, run_in=True), physics, None)
 
-    here = fitted(moved(None, 0.0), system)
-    at_rest = _blocks(here.system, moved(None, 0.0), here.at.levels, clock)
+    here = fitted(as_logged, system)
+    at_rest = _blocks(here.system, as_logged, here.at.levels, clock)
     best, rises = None, sure_nats(search, 0.0)
     for stream in streams:
 
         def blocks(rows: float, stream: _Stream = stream) -> Array:
             try:
-                return _blocks(here.system, moved(stream, rows), here.at.levels, clock)
+                return _blocks(here.system, without(SensorDelay(), stream, rows), here.at.levels, clock)
             except (NsdeError, np.linalg.LinAlgError, torch.linalg.LinAlgError):
                 return np.full(len(at_rest), -inf)
 
@@ -146,7 +143,7 @@ def _latest(
     stream, rows = best
     alone = JointSearch(search, here.at.of, here.system)
     logged = alone.with_one_more(alone.declared) or alone.declared
-    late = fitted(moved(stream, float(rows)), logged.system)
+    late = fitted(without(SensorDelay(), stream, rows), logged.system)
     difference = late.at.blocks - logged.at.blocks
     nats = float(difference.sum())
     if not nats > max(_NATS, sure_nats(search, sum_error(difference))):
@@ -154,7 +151,7 @@ def _latest(
     # where a channel pays for another it is no sensor's time
     if (late.at.by_channel < logged.at.by_channel - NATS).any():
         return None
-    of = _off(late, lambda k: moved(stream, rows + k), clock)
+    of = _off(late, lambda k: without(SensorDelay(), stream, rows + k), clock)
     if of is None:
         return None
     off, error = of
@@ -163,15 +160,12 @@ def _latest(
     seconds, name, how = time * step, SensorDelay.name, "later than all else"
     interval: tuple[float | None, float | None] = (seconds - half * step, seconds + half * step)
     if not stream.input:
-
-        def lagged(time: float) -> list[Run]:
-            values = dict.fromkeys(stream.channels, time * step)
-            there = [replace(SensorLag().undo(run, system, values), apart=run.apart) for run in runs]
-            return [replace(run, segments=own) for run, own in zip(there, inner, strict=True)]
-
-        columns = _columns(system, stream)
         behind = _behind_a_filter(
-            search, late, columns, time, lambda rows, physics: fitted(lagged(rows), physics)
+            search,
+            late,
+            {system.state_names[k] for channel in stream.channels for k in channel_columns(system, channel)},
+            time,
+            lambda rows, physics: fitted(without(SensorLag(), stream, rows), physics),
         )
         if behind is not None:  # what the physics lacks beside biases it
             seconds, interval = behind * step, (None, None)
@@ -185,11 +179,6 @@ def _latest(
     return stream, Detected(name, dict.fromkeys(stream.channels, (seconds, *interval, "s")), None, words)
 
 
-def _columns(system: System, stream: _Stream) -> set[str]:
-    """Names of the states that come from a stream."""
-    return {system.state_names[k] for channel in stream.channels for k in channel_columns(system, channel)}
-
-
 def _behind_a_filter(
     search: Search,
     late: FittedPhysics,
@@ -199,8 +188,8 @@ def _behind_a_filter(
 ) -> float | None:
     """Rows that a filter of first order takes, where that explains surely more than a delay.
 
-    `late` is the fit where states are moved by so many `rows`, `fitted` that where a filter of so many is undone. Of
-    densities of what was logged, x' = x + T D x for the slope D of a spline:
+    `late` is the fit where its `own` states are moved by so many `rows`, `fitted` that where a filter of so many is
+    undone. Of densities of what was logged, x' = x + T D x for the slope D of a spline:
 
         log p(x) = log p(x') + N / 2 pi  integral of log |1 + i T s(w)|,    s(w) = 3 sin w / (2 + cos w)
 

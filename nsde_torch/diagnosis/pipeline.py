@@ -63,7 +63,7 @@ from nsde_torch.diagnosis.joint_selection import (
     JointSelection,
     fitted_at,
 )
-from nsde_torch.diagnosis.late_columns import late_columns, on_time
+from nsde_torch.diagnosis.late_columns import late_columns
 from nsde_torch.diagnosis.outcome import Found, Outcome, undecided
 from nsde_torch.diagnosis.periodicity import HIGHEST, lines
 from nsde_torch.diagnosis.reading import (
@@ -339,7 +339,8 @@ def _diagnosed(
     search = log.search(log.runs)
     late = stages.attempt("columns that are late", lambda: late_columns(search, log), [])
     if late:
-        log = read(on_time(runs, system, late), late)
+        chain = Recorded(tuple(runs), 1.0, tuple(late))
+        log = read([chain.like(run, system) for run in runs], late)
         search = log.search(log.runs)
     log = stages.attempt("numbers of the runs", lambda: _numbered(log, search), log)
     search = log.search(log.runs) if log.by_number else search

@@ -135,7 +135,7 @@ class RunInertia(ByRun, AddedInertia):
         "{it} accelerates by a share of {share} less than in the run that it is held against (below 0: more): another "
         "load moves with it."
     )
-    separate = "weigh what moves in each run, or swing it freely"
+    separate = "weigh what moves in each run, or let it oscillate freely"
 
     def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         return -self.of_run(u)

@@ -1,4 +1,4 @@
-"""Columns that are logged rows later than all else are told as that, beside whatever else the physics lacks."""
+"""Columns that are logged rows later than all else are named as that, beside whatever else the physics lacks."""
 
 from collections.abc import Callable
 from dataclasses import replace

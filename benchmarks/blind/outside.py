@@ -2,9 +2,9 @@
 
 On the spring and on the cart (q, v position and speed, over mass), on the pole, and on multirotors:
 
-    quintic stiffness   -k q^5                    hysteresis   -k m,  s m' = v - (|v| m + v |m|) / 2     (Bouc, Wen)
-    cogging             -c sin(2 pi q / p)        friction that depends on the place   -b (q / L)^2 v
-    cubic damping       -d v^3                    burst        a exp(-((t - t0) / w)^2)
+    quintic stiffness   -k q^5                    friction that depends on the place   -b (q / L)^2 v
+    cogging             -c sin(2 pi q / p)        cubic damping       -d v^3
+    burst               a exp(-((t - t0) / w)^2)
     pole: magnet        -c sin(2 theta)           air drag     -d |theta'| theta'
     cross drag          d (-v_y, v_x, 0)          fan          a exp(-|p - p0|^2 / 2 r^2) to the east
     cubic drag          -d |v|^2 v                lift with speed   T c (v_x^2 + v_y^2)
@@ -14,7 +14,7 @@ On the spring and on the cart (q, v position and speed, over mass), on the pole,
 from collections.abc import Callable
 from functools import partial
 from math import pi
-from typing import Any, final
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -45,31 +45,6 @@ def _effect(
     parameters = {"size": Parameter(0.0, unit, scale=scale, help="its size"), **(shapes or {})}
     own = {"name": name, "port": Port.FORCE, "formula": formula, "PARAMETERS": parameters, "forward": forward}
     return type(name.title().replace("_", ""), (_Outside,), {**own, **more, "__module__": __name__})
-
-
-@final
-class Hysteresis(_Outside):
-    """A force that remembers where the motion turned (Bouc and Wen)."""
-
-    name, port, formula = "hysteresis", Port.FORCE, "-k m, s m' = v - (|v| m + v |m|) / 2"
-    PARAMETERS = {
-        "size": Parameter(0.0, "m/s2", scale=0.1, help="k"),
-        "reach": Parameter(0.1, "m", low=0.0, help="s, way after which it has turned over"),
-    }
-
-    @property
-    def n_memory(self) -> int:
-        return 1
-
-    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        return -self.value("size") * memory
-
-    def memory_rate(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        v = x[:, 1:2]
-        return (v - 0.5 * (v.abs() * memory + v * memory.abs())) / self.value("reach")
-
-    def memory_start(self, x: Tensor, u: Tensor) -> Tensor:
-        return torch.zeros_like(x[:, :1])
 
 
 def _gust(e: Effect, a: Tensor, t: Any, x: Tensor, u: Tensor) -> Tensor:
@@ -162,7 +137,7 @@ RateCubed = _effect(
 )
 Swing = _in_world("swing", "a sin(2 pi f t) to the east", "m/s2", _swing, shapes=_HERTZ)
 GustBurst = _in_world("gust_burst", "a exp(-((t - t0) / w)^2)", "m/s2", _gust, shapes=_MOMENT)
-ON_FORCE = (QuinticStiffness, Hysteresis, PlaceFriction, Cogging, CubicDamping, Burst)
+ON_FORCE = (QuinticStiffness, PlaceFriction, Cogging, CubicDamping, Burst)
 OUTSIDE: dict[str, tuple[type[Effect], ...]] = {
     "mass_spring_damper": ON_FORCE,
     "cartpole": (*ON_FORCE, PoleMagnet, PoleDrag),

@@ -100,6 +100,7 @@ def shapes(cls: type[Effect], system: str, rng: np.random.Generator) -> Values:
         "place": lambda: [float(v) for v in rng.uniform(-1.0, 1.0, 2)],
         "order": lambda: float(rng.integers(1, 13)),
         "radius": lambda: between(0.4, 1.0),
+        "weight": lambda: between(0.3, 1.2),
     }
     if cls.name in ("actuator_deadband", "asymmetric_deadband"):
         drawn = dict.fromkeys(cls.PARAMETERS, lambda: between(0.003, 0.4) * command)

@@ -4,21 +4,24 @@
     max(v - k, 0), min(v - k, 0) for zero and some k in the range of v,
     2 v k / (v^2 + k^2), which is largest at k,   what pulls to a place of no speed, d / k exp(1/2 - d^2 / (2 k^2)),
     sign(d) about a place, as a spring under preload has,   exp(-(d / k)^8), which is there between two places alone,
-    exp(k v) - 1 of no speed,   sin n v, cos n v of an angle,
+    exp(k v) - 1 of no speed, beside a constant too,   sin n v, cos n v of an angle,
+    |v|^k with the sign of v, of v, of max(v - p, 0) and min(v - p, 0), and of v - p with p beyond the range of v,
+    max(min(v, k), -k): what is left out by play,   |a|^k b of an a of one sign,
     a b, a^2 b, a b^2, |a| b, a |b|, max(a, 0) b, min(a, 0) b, root a b of what has one sign,
+    c1 a^n + c2 b^n of one unit with n = 2, 4,
     sin n a b, cos n a b, sin n a b^2, cos n a b^2 with an angle a and n = 1, 2,   planes c1 a + c2 b,
     a sign b, a^2 sign b, |a| sign b, sin n a sign b, cos n a sign b with a speed b, each also beside c1 sign b
 
-A variable may be the difference of two states of one unit. Each is written in the grammar of
-`effects.expression_grammar`; k and the width of a sign are fitted with the size. As a column of the joint likelihood a
-term moves a step as its value times the slope of the step in a force on its row of a port, which the filter's
+A variable may be the difference of two states, or of a state and an input, of one unit. Each is written in the grammar
+of `effects.expression_grammar`; k and the width of a sign are fitted with the size. As a column of the joint likelihood
+a term moves a step as its value times the slope of the step in a force on its row of a port, which the filter's
 linearisation holds already. A whole library costs one recursion, and no call of the machine.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
 
@@ -48,6 +51,7 @@ _DIFFERENCE = re.compile(r"\((\w+) - (\w+)\)")
 # at one end of k1: the variable
 _CURVED = re.compile(rf"(?:sign|peak)\({_NAME}, k1\)|expm1\(k1 {_NAME}\)")
 _ABOUT_A_PLACE = re.compile(rf"(\w+)\({_NAME} - k1, (k2|0)\)")  # the function, its variable, its width
+_POWER = re.compile(r"pow\((.+), k[12]\)")
 _COSINE = re.compile(rf"cos\((?:\d )?{_NAME}\) | cos\((?:\d )?{_NAME}\)$")  # as a factor
 _WAVE = re.compile(rf"(sin|cos)\((?:\d )?{_NAME}\)")
 # an eddy brake, largest at 8 rad/s, was five laws of the speed beside one another; a spring of rubber had no form
@@ -55,6 +59,8 @@ _PEAKS = (0.2, 0.6)  # where a peak lies, of the same quantile
 _PLACES = tuple(k / 12.0 for k in range(1, 12))  # quantiles that pulls start from
 _PULLS = (0.03, 0.08, 0.2)  # and how far these reach, of the range
 _EXPONENTS = (-2.0, -0.7, 0.7, 2.0)  # at the same quantile
+_POWERS = (0.5, 1.5, 2.5)  # that powers start from
+_BEYOND = (0.2, 1.0)  # how far beyond the range of a variable a pole starts, of the range
 
 
 @dataclass(frozen=True)
@@ -65,20 +71,23 @@ class LawTerm:
     start: tuple[tuple[str, float], ...] = ()  # first values of its shapes
 
 
-def terms_of(
-    names: Sequence[str], values: Mapping[str, Array], angles: Sequence[str], speeds: Collection[str] = ()
-) -> list[LawTerm]:
-    """Terms of some variables, with values (M,), by their names in the grammar.
+def terms_of(names: Sequence[str], values: Mapping[str, Array], units: Mapping[str, str]) -> list[LawTerm]:
+    """Terms of some variables, with values (M,) and units, by their names in the grammar.
 
     Some are angles, and some speeds: nothing brakes exponentially.
     """
     out: list[LawTerm] = []
+    angles, speeds = ([n for n in names if units.get(n) in some] for some in (("rad",), ("m/s", "rad/s")))
     for name in names:
         out += _of_one(name, values[name], name in angles, name in speeds)
     for i, first in enumerate(names):
         for second in names[i + 1 :]:
             if _words(first) & _words(second) or first[0] == second[0] == "(":
                 continue
+            if first in units and units[first] == units.get(second) and "(" not in (first[0], second[0]):
+                out += [
+                    LawTerm((f"{first}^{n}", f"{second}^{n}")) for n in (2, 4)
+                ]  # gas in a pipe, radiation
             signed = [name for name in (first, second) if has_both_signs(values[name])]
             flows = [
                 name
@@ -86,6 +95,10 @@ def terms_of(
                 if name not in signed and not (name in angles or name in speeds)
             ]
             out += [LawTerm((text,)) for text in _of_two(first, second, signed, flows)]
+            # an eddy brake grows as its gap closes: `v / z` was a viscous friction 16 times too large, and two laws
+            for a, b in ((first, second), (second, first)):
+                if a in flows:
+                    out.append(LawTerm((f"pow({a}, k1) {b}",), (("k1", -1.0),)))
             # two propellers that push a boat sideways: the product of both was named, which explained three quarters
             out.append(LawTerm((first, second)))
             for a, b in ((first, second), (second, first)):
@@ -138,7 +151,11 @@ def _of_one(name: str, v: Array, angle: bool, speed: bool) -> Iterator[LawTerm]:
         yield LawTerm((f"peak({name}, k1)",), (("k1", share * size),))
     # of speeds the public drive EMPS had four laws in the place of a dry friction and a steady force
     for exponent in () if speed else _EXPONENTS:
-        yield LawTerm((f"expm1(k1 {name})",), (("k1", exponent / size),))
+        for parts in ((f"expm1(k1 {name})",), ("", f"expm1(k1 {name})")):
+            yield LawTerm(parts, (("k1", exponent / size),))
+    yield from _powers(name, v, signed, speed or angle)
+    for share in _PEAKS if signed else ():
+        yield LawTerm((f"max(min({name}, k1), -k1)",), (("k1", share * size),))
     for side in ("max", "min"):
         if signed:
             yield LawTerm((f"{side}({name}, 0)",))
@@ -157,6 +174,26 @@ def _of_one(name: str, v: Array, angle: bool, speed: bool) -> Iterator[LawTerm]:
     for turns in _TURNS if angle else ():
         inner = name if turns == 1 else f"{turns} {name}"
         yield from (LawTerm((f"sin({inner})",)), LawTerm((f"cos({inner})",)))
+
+
+def _powers(name: str, v: Array, signed: bool, bounded: bool) -> Iterator[LawTerm]:
+    """Powers that need not be whole; a variable that is `bounded` (a speed, an angle) has no pole and no level.
+
+    Seals rub with v^1.5, air carries heat off with the difference to 1.25, a weir lets out (h - k)^1.5, a ball on a
+    plate pushes back so, and what leaks through a hole at k goes with (h - k)^0.5: each was two to five other laws.
+    """
+    for to in (*_POWERS, *((-1.0,) if not signed and not bounded else ())):
+        yield LawTerm((f"pow({name}, k1)",), (("k1", to),))
+    if bounded:
+        return
+    for side, knot, to in product(("max", "min"), np.quantile(v, _KNOTS), _POWERS[:2]):
+        yield LawTerm((f"pow({side}({name} - k1, 0), k2)",), (("k1", float(knot)), ("k2", to)))
+    low, high = np.quantile(v, (0.0, 1.0))
+    for pole in (
+        end + side * share * (high - low) for side, end in ((-1, low), (1, high)) for share in _BEYOND
+    ):
+        for parts in ((f"pow({name} - k1, k2)",), ("", f"pow({name} - k1, k2)")):
+            yield LawTerm(parts, (("k1", float(pole)), ("k2", -1.0)))
 
 
 def _of_two(a: str, b: str, signed: Sequence[str], flows: Sequence[str]) -> Iterator[str]:
@@ -209,6 +246,12 @@ class Term:
             return set(other.parts) != set(self.parts)
         if not self.start:
             return False
+        whole = [rf"\1{more}" for more in ("", "^2", "^3", "^4", "^5")]
+        if any(
+            set(other.parts) == {_POWER.sub(of, part) for part in self.parts}
+            for of in (*whole, r"root(\1)", r"abs(\1) \1", r"sign(\1, k1)")
+        ):
+            return set(other.parts) != set(self.parts)
         straight = {_CURVED.sub(r"\1\2", part) for part in self.parts}
         central = {_ABOUT_A_PLACE.sub(_central, part) for part in self.parts}
         of_one_length = {_WAVE.sub(r"\1(k1 \2)", part) for part in other.parts}
@@ -264,7 +307,8 @@ def terms_on(system: System, at: Optimum, port: int, names: Sequence[str]) -> li
     # heat, liquids and springs go by differences: of a heat exchanger that a stream cools, laws of both temperatures
     # stood beside one another, and each by itself was sure
     states = [] if system.quaternion is not None else [n for n in there if n in system.state_names]
-    for a, b in combinations(states, 2):
+    inputs = [n for n in there if n in system.input_names] if states else []
+    for a, b in (*combinations(states, 2), *product(states, inputs)):
         apart = values[a] - values[b]
         # what is a variable by itself has one name: an angle of attack was a path less an attitude too
         same = any(
@@ -272,9 +316,8 @@ def terms_on(system: System, at: Optimum, port: int, names: Sequence[str]) -> li
         )
         if units[a] == units[b] and not same:
             units[f"({a} - {b})"], values[f"({a} - {b})"] = units[a], apart
-    angles, speeds = ([n for n in values if units.get(n) in some] for some in (("rad",), ("m/s", "rad/s")))
     terms = [LawTerm(("",))] if there else []
-    terms += terms_of(list(values), values, angles, speeds)
+    terms += terms_of(list(values), values, units)
     out = [law_on(system, at, port, term.parts, dict(term.start)) for term in terms]
     return [term for term in out if term.law not in system.effect_names]
 

@@ -38,6 +38,7 @@ from nsde_torch.diagnosis.ceiling import Ceiling, ceiling, silent
 from nsde_torch.diagnosis.cross_validation import HeldOut, cross_validated, none_held_out
 from nsde_torch.diagnosis.decision import (
     decide,
+    dependent_on_provisional,
     doubted,
     far_above_noise,
     guard_of,
@@ -402,6 +403,9 @@ def _diagnosed(
         CEILING, partial(ceiling, log, outcome), Ceiling("it could not be computed")
     )
     outcome = judged_by_the_ceiling(outcome, course.ceiling)
+    outcome = stages.attempt(
+        "what hangs on provisional effects", partial(dependent_on_provisional, outcome), outcome
+    )
     course.lap("ceiling")
     course.known(CEILING, log, outcome)
     left = explained(log, search, outcome, course.guard, course.ceiling)

@@ -101,6 +101,10 @@ class _Settling:
             "expm1",
         ):
             return {}
+        if isinstance(node, Call) and node.function == "pow":
+            return (
+                {} if self.unit(node.arguments[0]) == {} else None
+            )  # of any power: the unit of its size is unknown
         if isinstance(node, Call) and node.function == "root":
             inner = self.unit(node.arguments[0])
             whole = inner is not None and all(power % 2 == 0 for power in inner.values())
@@ -131,8 +135,10 @@ class _Settling:
                     f"law {self.text!r}: {in_text(node)} takes {what}; {in_text(node.arguments[0])} is in "
                     f"{units.written(given or {})}. Write {node.function}(k1 {in_text(node.arguments[0])})."
                 )
-        elif isinstance(node, Call) and node.function == "root":
+        elif isinstance(node, Call) and node.function in ("root", "pow"):
             self.settle(node.arguments[0], None)
+            for to in node.arguments[1:]:
+                self.settle(to, {})
         elif isinstance(node, Sum | Call):
             same = self._same(parts_of(node))
             for part in parts_of(node):
@@ -273,8 +279,14 @@ _CALLED: dict[str, Callable[..., Tensor]] = {
     "window": lambda value, at: torch.exp(-((value / at) ** 8)),
     "expm1": lambda value: torch.expm1(value.clamp_max(_LARGEST_EXPONENT)),
     "root": lambda value: value.sign() * value.abs().clamp_min(_STEEPEST).sqrt(),
+    "pow": lambda value, to: value.sign() * torch.exp(to * value.abs().clamp_min(_STEEPEST).log()),
 }
-_STEEPEST = 1e-12  # size below which the slope of a root, which is infinite at 0, is none
+_STEEPEST = 1e-12  # size below which the slope of a root or a power, which may be infinite at 0, is none
+_HIGHEST = 6.0  # power: beyond, rows of the largest values alone say anything
+_ENDS: dict[str, tuple[float | None, float | None]] = {  # of the second argument
+    **dict.fromkeys(("sign", "peak", "pull", "window"), (0.0, None)),
+    "pow": (-_HIGHEST, _HIGHEST),
+}
 _LARGEST_EXPONENT = 30.0  # a rollout that has run off stays finite
 
 
@@ -345,17 +357,15 @@ def _row(law: Written, words: Vocabulary) -> tuple[int, Rows]:
 
 
 def _made(law: Written, own_units: Mapping[str, str], own: dict[str, Any]) -> type[Expression]:
-    widths = {
-        node.arguments[1].name
+    second = {
+        node.arguments[1].name: node.function
         for node in nodes(law.right)
-        if isinstance(node, Call)
-        and node.function in ("sign", "peak", "pull", "window")
-        and isinstance(node.arguments[1], Coefficient)
+        if isinstance(node, Call) and len(node.arguments) == 2 and isinstance(node.arguments[1], Coefficient)
     }
     parameters = {name: Parameter(0.0, own_units[name], help="size of a term") for name in law.sizes}
     for name in law.shapes:
-        low = 0.0 if name in widths else None
-        parameters[name] = Parameter(1.0, own_units[name], low=low, help="shape of a term")
+        low, high = _ENDS.get(second.get(name, ""), (None, None))
+        parameters[name] = Parameter(1.0, own_units[name], low=low, high=high, help="shape of a term")
     with_values = ", ".join(f"{name} = {{{name}}}" for name in (*law.sizes, *law.shapes))
     made: dict[str, Any] = {
         "__module__": __name__,

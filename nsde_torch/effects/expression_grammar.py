@@ -9,7 +9,7 @@
 Functions are `abs(a)`, `sin(a)`, `cos(a)`, `max(a, b)`, `min(a, b)`, `sign(a, width)`, which is tanh(a / width),
 `peak(a, at)`, which is 2 a at / (a^2 + at^2), `pull(a, at)`, which is a / at exp(1/2 - a^2 / (2 at^2)),
 `window(a, at)`, which is exp(-(a / at)^8), `expm1(a)`, which is exp(a) - 1, `root(a)`, which is the root of |a| with
-the sign of a, and `logged(name)`, a column of the log.
+the sign of a, `pow(a, to)`, which is |a|^to with the sign of a, and `logged(name)`, a column of the log.
 A coefficient is `c` or `k` with a number or `_word` behind it: `c1`, `k_width`. Every term of the outer sum has exactly
 one coefficient as a factor, which is its size; all others are shapes.
 """
@@ -39,6 +39,11 @@ FUNCTIONS: dict[str, tuple[int, str, str]] = {
     "window": (2, "exp(-(({0})/({1}))**8)", r"e^{{-\left(({0}) / {1}\right)^8}}"),
     "expm1": (1, "(exp({0}) - 1)", r"\left(e^{{{0}}} - 1\right)"),
     "root": (1, "sign({0})*sqrt(Abs({0}))", r"\operatorname{{sign}}({0})\,\sqrt{{\left|{0}\right|}}"),
+    "pow": (
+        2,
+        "sign({0})*Abs({0})**({1})",
+        r"\operatorname{{sign}}({0})\,\left|{0}\right|^{{{1}}}",
+    ),
     "logged": (1, "", ""),
 }
 """Functions: the number of their arguments, and how SymPy and LaTeX write them."""
@@ -314,9 +319,10 @@ class _Parser:
         if token.kind != "name":
             raise self._expected("a variable, a coefficient or a function")
         self.at += 1
-        if token.text in FUNCTIONS:
+        called = self._next.text == "(" and self._next.start == token.end
+        if called and token.text in FUNCTIONS:  # else a variable: a valve's `window`, say
             return self._call(token)
-        if self._next.text == "(" and self._next.start == token.end:
+        if called:
             raise self._error(
                 f"{token.text!r} is no function; functions are {', '.join(FUNCTIONS)}", token.start
             )

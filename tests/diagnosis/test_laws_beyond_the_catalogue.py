@@ -105,7 +105,7 @@ def test_laws_are_tried_neither_beside_named_candidates_nor_where_the_budget_has
 def test_every_term_of_the_library_is_of_the_grammar_and_has_one_spelling() -> None:
     rng = np.random.default_rng(0)
     names = ["theta", "theta_dot", "x_dot"]
-    terms = terms_of(names, {n: rng.normal(size=200) for n in names}, ["theta"])
+    terms = terms_of(names, {n: rng.normal(size=200) for n in names}, {"theta": "rad"})
     texts = [
         "torque = " + " + ".join(f"c{n} {part}".strip() for n, part in enumerate(term.parts, 1))
         for term in terms
@@ -124,6 +124,7 @@ def test_every_term_of_the_library_is_of_the_grammar_and_has_one_spelling() -> N
         "torque = c1 expm1(k1 theta)",
         "torque = c1 peak(x_dot, k1)",
         "torque = c1 window(theta - k1, k2)",
+        "torque = c1 pow(theta_dot, k1)",
     } <= set(texts)
 
 
@@ -136,6 +137,9 @@ def test_every_term_of_the_library_is_of_the_grammar_and_has_one_spelling() -> N
         (("peak((a - b), k1)",), ("(a - b)",), True),
         (("abs(turn) (surge - sway)",), ("surge abs(turn)",), True),
         (("cos(2 theta) theta_dot v",), ("theta_dot v",), True),
+        (("pow(v, k1)",), ("v^2",), True),
+        (("pow(v, k1)",), ("abs(v) v",), True),
+        (("pow(max(v - k1, 0), k2)",), ("max(v - k1, 0)",), True),
         (("pull(v - k1, k2)",), ("sign(v, k1)",), False),
         (("sign(v, k1)",), ("sign(v - k1, k2)",), False),
     ],
@@ -151,7 +155,7 @@ def test_what_is_exchanged_with_a_stream_goes_by_a_difference_and_the_root_of_th
     rng = np.random.default_rng(0)
     values = {n: rng.uniform(1.0, 2.0, 200) for n in ("flow", "inner", "outer")}
     values["(inner - outer)"] = values["inner"] - values["outer"]
-    parts = {part for term in terms_of(list(values), values, []) for part in term.parts}
+    parts = {part for term in terms_of(list(values), values, {}) for part in term.parts}
     assert {"root(flow) (inner - outer)", "flow (inner - outer)^2", "(inner - outer)^2"} <= parts
     assert not [part for part in parts if part.startswith("inner (inner")]
 

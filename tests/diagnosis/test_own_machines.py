@@ -91,7 +91,7 @@ def case(
 
 
 ANY = np.inf
-ROOT, SURGE = "heat = c1 root(T)", "force[surge] = c1 surge abs(turn)"
+ROOT, AIR, SURGE = "heat = c1 root(T)", "heat = c1 pow(T, k1)", "force[surge] = c1 surge abs(turn)"
 SWAY = "force[sway] = c1 port_side + c2 starboard"
 WALL = {"relaxation.exchange": (0.015, 5e-4, 0.01), "relaxation.time": (120.0, 4.0, 60.0)}
 
@@ -133,6 +133,8 @@ def servo(hertz: float, ratio: float) -> Intervals:
         case("a wall that is colder at first", Room, lambda: warmed(exchange=0.015, wall=-8.0), WALL, slow=False),
         # beside a loss that is declared, which an exchange with surroundings would be half of
         case("a hole", Room, lambda: warmed(leak=0.05), {f"{ROOT}.c1": (-0.05, 0.0015, ANY)}, slow=False),
+        case("air that carries heat off", Room, lambda: warmed(leak=0.01, power=1.25),
+             {f"{AIR}.c1": (-0.01, 0.001, ANY), f"{AIR}.k1": (1.25, 0.05, 0.2)}, slow=False),
         case("a sound room", Room, warmed, {}, slow=False),
         case("a sound car", Car, driven, {}, slow=False),
         case("what disturbs a state that no port pushes", CoilMotor, lambda: turns(6, 60.0, ripple=0.3).runs, {},

@@ -8,7 +8,16 @@ import yaml
 from torch import Tensor
 
 from nsde_torch.effects import Effect, Parameter, Port, files
-from nsde_torch.effects.expression_grammar import in_text, is_law, latex, parse, sympy_text, valued
+from nsde_torch.effects.expression_grammar import (
+    Variable,
+    in_text,
+    is_law,
+    latex,
+    nodes,
+    parse,
+    sympy_text,
+    valued,
+)
 from nsde_torch.errors import ConfigError
 from nsde_torch.rotation import rotate_back
 from nsde_torch.systems import make_system
@@ -48,8 +57,9 @@ def test_a_law_as_text_is_the_effect_that_a_class_of_ten_lines_would_be() -> Non
 
 def test_a_law_reads_states_inputs_and_columns_of_the_log_and_has_derivatives() -> None:
     law = "force = c1 sign(q_dot, k1) logged(load) - c2 min(q, 0)^2 cos(k2 q) force"
-    law += " + c3 peak(q_dot, k3) expm1(k4 q) time + c4 root(q)"
-    values = {"c1": 0.5, "c2": 0.2, "c3": 0.3, "c4": 0.6, "k1": 0.1, "k2": 3.0, "k3": 0.7, "k4": 0.9}
+    law += " + c3 peak(q_dot, k3) expm1(k4 q) time + c4 root(q) + c5 pow(q, k5)"
+    values = {"c1": 0.5, "c2": 0.2, "c3": 0.3, "c4": 0.6, "c5": 0.8}
+    values |= {"k1": 0.1, "k2": 3.0, "k3": 0.7, "k4": 0.9, "k5": 1.3}
     system = make_system("mass_spring_damper", effects=[law]).double()
     for name, value in values.items():
         system.effects[-1].set_value(name, torch.tensor([value]))  # type: ignore[operator]
@@ -59,7 +69,7 @@ def test_a_law_reads_states_inputs_and_columns_of_the_log_and_has_derivatives() 
     q, v = x[:, 0], x[:, 1]
     expected = 0.5 * torch.tanh(v / 0.1) * u[:, 1] - 0.2 * q.clamp(max=0) ** 2 * torch.cos(3.0 * q) * u[:, 0]
     expected = expected + 1.5 * 0.3 * 1.4 * v / (v**2 + 0.49) * (torch.exp(0.9 * q) - 1.0)
-    expected = expected + 0.6 * q.sign() * q.abs().sqrt()
+    expected = expected + 0.6 * q.sign() * q.abs().sqrt() + 0.8 * q.sign() * q.abs() ** 1.3
     effect = system.effects[-1]
     assert isinstance(effect, Effect)
     found = effect(1.5, x, seen_by(system, effect, 1.5, x, u), x[:, :0])[:, 0]
@@ -105,6 +115,13 @@ def test_every_spelling_of_a_law_has_one_name_which_is_a_spelling_of_it(written:
     assert parse(written).text == name
     assert parse(name) == parse(written)
     assert is_law(name)
+
+
+def test_a_variable_may_be_called_as_a_function_is() -> None:
+    variables = {
+        n.name for n in nodes(parse("flow = c1 window (a - b) + c2 root^2").right) if isinstance(n, Variable)
+    }
+    assert variables == {"window", "root", "a", "b"}
 
 
 def test_sizes_are_the_factors_of_terms_and_all_other_coefficients_are_shapes() -> None:

@@ -231,12 +231,12 @@ class Room(System):
 
 
 def warmed(
-    *, exchange: float = 0.0, time: float = 120.0, wall: float = 5.0, leak: float = 0.0
+    *, exchange: float = 0.0, time: float = 120.0, wall: float = 5.0, leak: float = 0.0, power: float = 0.5
 ) -> list[RawRun]:
-    """Runs of a room whose wall takes heat up and gives it back, and that loses heat with the root of it."""
+    """Runs of a room whose wall takes heat up and gives it back, and that loses heat with a power of it."""
 
     def rates(x: Array, u: Array) -> list[float]:
-        heat = GAIN * u[0] - LOSS * x[0] - leak * max(x[0], 0.0) ** 0.5
+        heat = GAIN * u[0] - LOSS * x[0] - leak * max(x[0], 0.0) ** power
         return [heat + exchange * (x[1] - x[0]), (x[0] - x[1]) / time]
 
     rng, out = np.random.default_rng(4), []

@@ -149,7 +149,7 @@ def _by_instruments(
     if not hidden:  # then the log has the inputs as they were
         return held, sure
     system = regression.physics.vector.system
-    moving = regression_of(system, later(runs, system.nu, 0.5), clock=clock, width=width)
+    moving = regression_of(system, later(runs, range(system.nu), 0.5), clock=clock, width=width)
     moving.run(ITERATIONS)
     other = replace(instrumental(moving, names, ordinary=regression), between_rows=True)
     if not other.moved.any() or len(other.refused) > len(held.refused):

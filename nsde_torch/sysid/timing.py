@@ -135,7 +135,7 @@ def _mover(system: System, rows: float, states: list[int]) -> Callable[[Run], Ru
         long = [(a, b) for a, b in run.segments if b - a >= 2 * lost + 4]
         inner = tuple((a + lost, b - lost) for a, b in long) or run.segments
         if not states:
-            return replace(later([run], system.nu, rows)[0], segments=inner)
+            return replace(later([run], range(system.nu), rows)[0], segments=inner)
         for a, b in long:
             x[a:b, states] = moved(np.asarray(run.x[a:b, states]), rows)
         if q is not None:

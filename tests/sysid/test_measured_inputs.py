@@ -1,14 +1,18 @@
 """Inputs as a sensor measured them: machines that NumPy integrates."""
 
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import final
 
 import numpy as np
 import pytest
+from torch import Tensor
 
 from nsde_torch.api.reading import read
 from nsde_torch.data import DataSet
 from nsde_torch.data.raw import RawRun
-from nsde_torch.systems import make_system
+from nsde_torch.effects import Parameter, Port
+from nsde_torch.systems import Defaults, ResidualPort, System, make_system
 from tests.helpers.machines import Array, simulated
 
 DT, STIFFNESS, DAMPING = 0.01, 2.0, 0.4
@@ -115,3 +119,45 @@ def test_a_force_that_acts_as_it_is_logged_or_through_play_stays(gap: float) -> 
     data, kinds = inputs_of(runs)
     assert kinds == []
     assert np.allclose(data.runs[0].u, runs[0].u)
+
+
+@final
+class Rotor(System):
+    """omega' = gain torque + pull wind - damping omega."""
+
+    name = "rotor"
+    state_names, state_units = ("omega",), ("rad/s",)
+    input_names, input_units = ("torque", "wind"), ("N m", "m/s")
+    ports = {Port("accel"): 1}
+    residual_ports = {Port("accel"): ResidualPort(1, 0.1, "rad/s2")}
+    sensor_noise = True
+    defaults = Defaults(0.05, 20, (0.01,), 0.1, 1.0, "euler_maruyama")
+    PARAMETERS = {name: Parameter(1.0, "1", low=0.0) for name in ("gain", "pull", "damping")}
+
+    def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
+        moved = self.value("gain") * u[:, :1] + self.value("pull") * u[:, 1:]
+        return moved - self.value("damping") * x + forces.get(Port("accel"), 0.0)
+
+
+def test_a_measured_input_moves_between_rows_beside_a_command_that_is_held() -> None:
+    """The command is another one in each row, as a controller's is; the wind is sampled."""
+    rng, dt, rows = np.random.default_rng(6), 0.05, 500
+    pulses, phases = 2.0 * np.pi * rng.uniform(0.2, 2.0, 8), rng.uniform(0.0, 6.0, 8)
+
+    def wind(t: float) -> float:
+        return float(np.sin(pulses * t + phases).sum())
+
+    runs = []
+    for number in range(2):
+        torque = rng.standard_normal((rows, 1))
+
+        def rates(x: Array, u: Array) -> list[float]:
+            return [2.0 * u[0] + 0.7 * wind(x[1]) - 0.5 * x[0], 1.0]
+
+        run = simulated(number, rates, [0.0, 50.0 * number], torque, dt, noise=(0.003, 0.0), rng=rng)
+        blows = [wind(clock) for clock in run.x[:, 1]]
+        runs.append(replace(run, x=run.x[:, :1], u=np.column_stack((torque, blows))))
+    data = read(runs, system=Rotor())
+    assert [f.values["inputs"] for f in data.summary.findings if f.kind == "input_between_rows"] == [["wind"]]
+    assert np.allclose(data.runs[0].u[:, 0], runs[0].u[:, 0])
+    assert np.allclose(data.runs[0].u[:-1, 1], 0.5 * (runs[0].u[:-1, 1] + runs[0].u[1:, 1]))

@@ -172,11 +172,15 @@ def _latest(
             name, how = SensorLag.name, "late behind a filter of first order"
     beside = sorted(alone.added(logged.system))
     words = (
-        f"{stream.named} logged {1e3 * seconds:.3g} ms {how}: the declared physics is likelier by {rises:.0f} nats "
+        f"{stream.named} logged {_spoken(seconds)} {how}: the declared physics is likelier by {rises:.0f} nats "
         "where what comes late is moved back"
         + (f", and by {nats:.0f} beside {beside[0]}." if beside else ".")
     )
     return stream, Detected(name, dict.fromkeys(stream.channels, (seconds, *interval, "s")), None, words)
+
+
+def _spoken(seconds: float) -> str:
+    return f"{seconds:.3g} s" if seconds >= 1.0 else f"{1e3 * seconds:.3g} ms"
 
 
 def _behind_a_filter(

@@ -6,7 +6,7 @@
     sign(d) about a place, as a spring under preload has,   exp(-(d / k)^8), which is there between two places alone,
     exp(k v) - 1 of no speed, beside a constant too,   sin n v, cos n v of an angle,
     |v|^k with the sign of v, of v, of max(v - p, 0) and min(v - p, 0), and of v - p with p beyond the range of v,
-    max(min(v, k), -k): what is left out by play,   |a|^k b of an a of one sign,
+    max(min(v, k), -k): what is left out by play,   |a|^k b and (exp(k a) - 1) b of an a of one sign,
     a b, a^2 b, a b^2, |a| b, a |b|, max(a, 0) b, min(a, 0) b, root a b of what has one sign,
     c1 a^n + c2 b^n of one unit with n = 2, 4,
     sin n a b, cos n a b, sin n a b^2, cos n a b^2 with an angle a and n = 1, 2,   planes c1 a + c2 b,
@@ -59,6 +59,7 @@ _PEAKS = (0.2, 0.6)  # where a peak lies, of the same quantile
 _PLACES = tuple(k / 12.0 for k in range(1, 12))  # quantiles that pulls start from
 _PULLS = (0.03, 0.08, 0.2)  # and how far these reach, of the range
 _EXPONENTS = (-2.0, -0.7, 0.7, 2.0)  # at the same quantile
+_OVER_THE_RANGE = (-3.0, 3.0)  # exponents, over the range of a variable
 _POWERS = (0.5, 1.5, 2.5)  # that powers start from
 _BEYOND = (0.2, 1.0)  # how far beyond the range of a variable a pole starts, of the range
 
@@ -97,8 +98,12 @@ def terms_of(names: Sequence[str], values: Mapping[str, Array], units: Mapping[s
             out += [LawTerm((text,)) for text in _of_two(first, second, signed, flows)]
             # an eddy brake grows as its gap closes: `v / z` was a viscous friction 16 times too large, and two laws
             for a, b in ((first, second), (second, first)):
-                if a in flows:
+                if not (a in signed or a in angles):
                     out.append(LawTerm((f"pow({a}, k1) {b}",), (("k1", -1.0),)))
+                # a reaction is faster where it is hot
+                for exponent in _OVER_THE_RANGE if a in flows else ():
+                    start = exponent / max(float(np.ptp(values[a])), 1e-12)
+                    out.append(LawTerm((f"expm1(k1 {a}) {b}",), (("k1", start),)))
             # two propellers that push a boat sideways: the product of both was named, which explained three quarters
             out.append(LawTerm((first, second)))
             for a, b in ((first, second), (second, first)):

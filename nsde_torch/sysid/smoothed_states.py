@@ -337,11 +337,15 @@ def _by_its_zeros(likely: Likely, runs: Sequence[Run], system: System, dt: float
         return False
     inputs = [np.asarray(run.u[a:b, : system.nu]) for run in runs for a, b in run.segments]
     moved = np.any([(part != part[0]).any(0) for part in inputs], axis=0)
-    seen = smoothers.spectra_of([part[:, moved] for part in inputs], dt) if moved.any() else None
-    if seen is None or not (seen.power > 0).all():
+    # one by one: beside the speed of a vehicle, which varies slowly, a steering that is held over 35 rows was no reason
+    each = [smoothers.spectra_of([part[:, [j]] for part in inputs], dt) for j in np.flatnonzero(moved)]
+    if not each or any(seen is None or not (seen.power > 0).all() for seen in each):
         return False
-    behind, without = (smoothers.fit(seen, one).deviance for one in (likely.smoother, None))
-    return bool(GAIN * behind > without)
+    return all(
+        GAIN * smoothers.fit(seen, likely.smoother).deviance > smoothers.fit(seen, None).deviance
+        for seen in each
+        if seen is not None
+    )
 
 
 def _noisy_behind(seen: Spectra, one: SpectrumFit, sensor: SensorGroup, runs: Sequence[Run]) -> bool:

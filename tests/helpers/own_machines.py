@@ -1,5 +1,4 @@
-"""Machines of a user's own and runs of them: boats, a car, motors, a lift, a room, whose simulators share no code with
-the package."""
+"""Machines of a user's own and runs of them, whose simulators share no code with the package: boats, a car, motors."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -74,6 +73,23 @@ class Motor(System):
     def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
         free = self.value("gain") * u - self.value("damping") * x
         return free + forces.get(Port.TORQUE, 0.0)
+
+
+class Rotor(System):
+    """omega' = gain torque + pull wind - damping omega."""
+
+    name = "rotor"
+    state_names, state_units = ("omega",), ("rad/s",)
+    input_names, input_units = ("torque", "wind"), ("N m", "m/s")
+    ports = {Port("accel"): 1}
+    residual_ports = {Port("accel"): ResidualPort(1, 0.1, "rad/s2")}
+    sensor_noise = True
+    defaults = Defaults(0.05, 20, (0.01,), 0.1, 1.0, "euler_maruyama")
+    PARAMETERS = {name: Parameter(1.0, "1", low=0.0) for name in ("gain", "pull", "damping")}
+
+    def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
+        moved = self.value("gain") * u[:, :1] + self.value("pull") * u[:, 1:]
+        return moved - self.value("damping") * x + forces.get(Port("accel"), 0.0)
 
 
 class Boat(System):

@@ -1,19 +1,16 @@
 """Inputs as a sensor measured them: machines that NumPy integrates."""
 
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import final
 
 import numpy as np
 import pytest
-from torch import Tensor
 
 from nsde_torch.api.reading import read
 from nsde_torch.data import DataSet
 from nsde_torch.data.raw import RawRun
-from nsde_torch.effects import Parameter, Port
-from nsde_torch.systems import Defaults, ResidualPort, System, make_system
+from nsde_torch.systems import make_system
 from tests.helpers.machines import Array, simulated
+from tests.helpers.own_machines import Rotor
 
 DT, STIFFNESS, DAMPING = 0.01, 2.0, 0.4
 SPRING = make_system("mass_spring_damper")
@@ -121,27 +118,9 @@ def test_a_force_that_acts_as_it_is_logged_or_through_play_stays(gap: float) -> 
     assert np.allclose(data.runs[0].u, runs[0].u)
 
 
-@final
-class Rotor(System):
-    """omega' = gain torque + pull wind - damping omega."""
-
-    name = "rotor"
-    state_names, state_units = ("omega",), ("rad/s",)
-    input_names, input_units = ("torque", "wind"), ("N m", "m/s")
-    ports = {Port("accel"): 1}
-    residual_ports = {Port("accel"): ResidualPort(1, 0.1, "rad/s2")}
-    sensor_noise = True
-    defaults = Defaults(0.05, 20, (0.01,), 0.1, 1.0, "euler_maruyama")
-    PARAMETERS = {name: Parameter(1.0, "1", low=0.0) for name in ("gain", "pull", "damping")}
-
-    def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
-        moved = self.value("gain") * u[:, :1] + self.value("pull") * u[:, 1:]
-        return moved - self.value("damping") * x + forces.get(Port("accel"), 0.0)
-
-
 def test_a_measured_input_moves_between_rows_beside_a_command_that_is_held() -> None:
     """The command is another one in each row, as a controller's is; the wind is sampled."""
-    rng, dt, rows = np.random.default_rng(6), 0.05, 500
+    rng, dt, rows = np.random.default_rng(6), 0.05, 400
     pulses, phases = 2.0 * np.pi * rng.uniform(0.2, 2.0, 8), rng.uniform(0.0, 6.0, 8)
 
     def wind(t: float) -> float:

@@ -15,7 +15,8 @@ from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import ConfigError
 from nsde_torch.sysid.identify import identify
 from nsde_torch.systems import make_system
-from tests.helpers.machines import Array, simulated
+from tests.helpers.machines import Array, held, simulated
+from tests.helpers.own_machines import Rotor
 
 Filter = Callable[[Array], Array]
 DT, STIFFNESS, DAMPING = 0.01, 4.0, 0.8
@@ -131,6 +132,20 @@ def coarse(*, noisy: bool) -> list[RawRun]:
 @pytest.mark.parametrize("noisy", [True, False])
 def test_the_saw_of_an_encoder_and_a_rate_without_noise_are_no_smoother(noisy: bool) -> None:
     assert not told(read(coarse(noisy=noisy), system="mass_spring_damper"))
+
+
+def test_an_input_that_is_held_over_rows_is_no_mean_of_the_states() -> None:
+    """A wind that varies slowly is beside it, and a friction that is not declared."""
+    rng, t, runs = np.random.default_rng(1), 0.05 * np.arange(1500), []
+
+    def rates(x: Array, u: Array) -> list[float]:
+        return [2.0 * u[0] + 0.7 * u[1] - 0.5 * x[0] - 2.0 * np.tanh(x[0] / 0.6)]
+
+    for number in range(3):
+        torque, phase = held(rng, -3.0, 3.0, len(t), each=35), rng.uniform(0.0, 6.0)
+        u = np.column_stack((torque, 1.0 + np.sin(0.2 * t + phase)))
+        runs.append(simulated(number, rates, [0.0], u, 0.05, noise=(0.003,), rng=rng, fine=2))
+    assert told(read(runs, system=Rotor())) == []
 
 
 def test_a_motion_under_a_few_waves_does_not_hide_the_filter() -> None:

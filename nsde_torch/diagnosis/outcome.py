@@ -17,6 +17,7 @@ from nsde_torch.diagnosis.residual_tests import Dependence
 from nsde_torch.diagnosis.search import Search, fitted_system, without_effect
 from nsde_torch.diagnosis.shape import Rates, rates
 from nsde_torch.effects.by_run import ByRun
+from nsde_torch.effects.expression_grammar import is_law
 from nsde_torch.inference import Optimum
 from nsde_torch.inference.spread import Spread
 from nsde_torch.sysid.feedback_test import FeedbackTest
@@ -82,6 +83,9 @@ def _inside(v: ParameterVector, j: int, value: float, halves: Array, doubt: Arra
     widened = 0.0 if doubt is None else float(doubt[j])
     return Estimate(v.labels[j], value, low, high, v.units[j], bound, widened)
 
+
+_SHARED = 0.9
+"""Share of a declared parameter's variance that the coefficients of a law explain, above which its form decides."""
 
 Verdict = Literal["no_effect", "effect_found", "unexplained", "undecided"]
 
@@ -225,6 +229,29 @@ class Outcome:
         by_sensors = largest_bias(r, lengths_of_parameters(self.test, r))
         bias = np.where(of_effects, by_sensors, hidden_bias(r, self.test))
         return bias if self.of_band is None else np.maximum(bias, self.of_band)
+
+    @cached_property
+    def given_laws(self) -> dict[str, tuple[str, ...]]:
+        """By label of a declared parameter: sure laws beyond the catalogue whose form its value hangs on.
+
+        Data show the sum of a loss to the surroundings and a law of the same temperature; how it is shared out is the
+        formula's. Of an oven that radiates the loss was 38 standard errors off beside `c1 expm1(k1 temp)`.
+        """
+        v, basis, out = self.final.vector, self.final.shown.basis, dict[str, tuple[str, ...]]()
+        laws = [f.name for f in self.found if is_law(f.name) and not f.provisional]
+        if not laws:
+            return out
+        covariance = basis @ self.spread.covariance @ basis.T
+        known = np.diag(covariance) > 0.0
+        for name in laws:
+            own = [j for j in v.of(name) if known[j]]
+            within = np.linalg.pinv(covariance[np.ix_(own, own)], hermitian=True)
+            for j, label in enumerate(v.labels):
+                if label in self.declared.vector.labels and known[j]:
+                    share = covariance[j, own] @ within @ covariance[j, own] / covariance[j, j]
+                    if share > _SHARED:
+                        out[label] = (*out.get(label, ()), name)
+        return out
 
     @cached_property
     def spread(self) -> Spread:

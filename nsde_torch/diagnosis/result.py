@@ -543,6 +543,8 @@ def _interval(found: Diagnosis, e: Estimate) -> dict[str, Any]:
     beside = {c for f in found.outcome.found if f.provisional for c in f.moves}
     if found.so_far is not None or not beside.isdisjoint(channels):
         widened["provisional"] = True
+    if laws := found.outcome.given_laws.get(e.name):
+        widened["given"] = list(laws)
     return {"interval_90": None if e.low is None else [e.low, e.high], "bound": e.bound, **widened}
 
 

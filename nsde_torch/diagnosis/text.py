@@ -181,6 +181,20 @@ def beside_leads(content: Content) -> str:
     )
 
 
+def given_laws(content: Content) -> str:
+    """Declared values that hold only if laws beyond the catalogue have the right form; empty where none does."""
+    given = {name: p["given"] for name, p in content["declared_parameters"].items() if p.get("given")}
+    if not given:
+        return ""
+    laws = list(dict.fromkeys(law for some in given.values() for law in some))
+    values = content["declared_parameters"]
+    each = ", ".join(f"{name} {valued(values[name])}{with_space(values[name]['unit'])}" for name in given)
+    return (
+        f"{each}: {'holds' if len(given) == 1 else 'hold'} only if {' and '.join(laws)} "
+        f"{'has its' if len(laws) == 1 else 'have their'} true form; the data show what they do together."
+    )
+
+
 def small(count: int) -> str:
     """How many effects are small, in words."""
     words = ("", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")

@@ -153,6 +153,8 @@ def test_what_acts_beside_the_physics_is_named_alone_with_its_size(
     assert found.verdict == ("effect_found" if intervals else "no_effect")
     for label, (truth, slack, width) in intervals.items():
         assert_interval(found.parameters, label, truth, slack=slack, width=width)
+    if AIR in found.added:  # how heat is shared out between a loss and a power of the same is the formula's
+        assert found.content()["declared_parameters"]["loss"]["given"] == [AIR]
 
 
 @pytest.mark.slow

@@ -132,7 +132,14 @@ class FeedbackTest:
         if not self.closed:
             return ()
         answered = {(a.input, a.channel) for a in self.answers if a.chance < ALPHA and a.share >= _OWN_ANSWER}
-        made = {way: own for way, own in self.driven.items() if self.new.get(way, 0.0) < _PLAYED}
+        # what answers nothing, and past states do not predict, no controller made: a propeller that is set, and
+        # weather, had "other sensors" in a ship and a room whose other input answered the log
+        made = {
+            way: own
+            for way, own in self.driven.items()
+            if self.new.get(way, 0.0) < _PLAYED
+            and (way in self.made or any(a.input == way for a in self.answers if a.chance < ALPHA))
+        }
         of_log = {
             c
             for way, own in made.items()

@@ -10,7 +10,7 @@ import pytest
 
 from nsde_torch.data import Run
 from nsde_torch.errors import DataError
-from nsde_torch.sysid.feedback_test import feedback_summary, lengths
+from nsde_torch.sysid.feedback_test import Answer, FeedbackTest, feedback_summary, lengths
 from nsde_torch.sysid.identify import identify_in_loop
 from nsde_torch.sysid.instruments import adopted
 from nsde_torch.sysid.regression import ITERATIONS, regression_of
@@ -166,3 +166,14 @@ def test_a_speed_that_a_voltage_moves_within_a_row_is_answered_from_the_log(fric
     loop = feedback_summary(CoilMotor(), follows(1, 1000.0, friction=friction).runs)
     assert loop.closed
     assert loop.other_sensors == ()
+
+
+def test_an_input_that_answers_nothing_has_no_controller_with_other_sensors() -> None:
+    """Weather, which the wall of a room follows, beside a heater that a thermostat sets by the logged room."""
+    answers = (Answer("heater", "room", 0.03, 1e-9), Answer("weather", "wall", 0.0, 1.0))
+    driven = {"heater": ("room",), "weather": ("wall",)}
+    new = {"heater": 0.1, "weather": 0.3}
+    found = FeedbackTest(answers=answers, driven=driven, new=new, made=("heater",))
+    assert found.closed
+    assert found.other_sensors == ()
+    assert replace(found, made=("heater", "weather")).other_sensors == ("wall",)

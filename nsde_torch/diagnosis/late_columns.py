@@ -4,8 +4,7 @@
 
 A stream is a position with its rate, any other state, an input, or all inputs. At the parameters and noise levels of
 the log as it is, L rises as rows are moved to where they belong; what the declared physics lacks does not make it rise,
-as a row is a long time where sensors are good (a column that is on time loses hundreds of nats by one). Where nothing
-makes it rise, parameters are fitted to each move of a state. Where it rises,
+as a row is a long time where sensors are good (a column that is on time loses hundreds of nats by one). Where it rises,
 it has to do so surely beside the effect of the catalogue that explains most of the log as it is, too: a motor that lags
 is no late sensor, and a lag explains nothing more once sensors are moved. A state may be behind a filter of first order
 instead (`_behind_a_filter`). Inputs are moved to earlier times of the log alone: those that act late have effects. The
@@ -126,26 +125,20 @@ def _latest(
     here = fitted(as_logged, system)
     at_rest = _blocks(here.system, as_logged, here.at.levels, clock)
     best, rises = None, sure_nats(search, 0.0)
+    for stream in streams:
 
-    def blocks(stream: _Stream, rows: float, *, fits: bool) -> Array:
-        try:
-            some = without(SensorDelay(), stream, rows)
-            if fits:
-                return fitted(some, here.system).at.blocks
-            return _blocks(here.system, some, here.at.levels, clock)
-        except (NsdeError, np.linalg.LinAlgError, torch.linalg.LinAlgError):
-            return np.full(len(at_rest), -inf)
+        def blocks(rows: float, stream: _Stream = stream) -> Array:
+            try:
+                return _blocks(here.system, without(SensorDelay(), stream, rows), here.at.levels, clock)
+            except (NsdeError, np.linalg.LinAlgError, torch.linalg.LinAlgError):
+                return np.full(len(at_rest), -inf)
 
-    # parameters may have taken up what is late: of a car whose sideways speed came 40 ms late all were 20 % off, and of
-    # these no move was likelier. What acts late has effects
-    for fits, some in ((False, streams), (True, [one for one in streams if not one.input])):
-        for stream in some if best is None else ():
-            rows, there = 1, blocks(stream, 1.0, fits=fits)
-            while rows < most and (further := blocks(stream, rows + 1.0, fits=fits)).sum() > there.sum():
-                rows, there = rows + 1, further
-            risen = there - (here.at.blocks if fits else at_rest)
-            if risen.sum() > max(rises, sure_nats(search, sum_error(risen))):
-                best, rises = (stream, rows), float(risen.sum())
+        rows, there = 1, blocks(1.0)
+        while rows < most and (further := blocks(rows + 1.0)).sum() > there.sum():
+            rows, there = rows + 1, further
+        risen = there - at_rest
+        if risen.sum() > max(rises, sure_nats(search, sum_error(risen))):
+            best, rises = (stream, rows), float(risen.sum())
     if best is None:
         return None
     stream, rows = best

@@ -86,9 +86,8 @@ def terms_of(names: Sequence[str], values: Mapping[str, Array], units: Mapping[s
             if _words(first) & _words(second) or first[0] == second[0] == "(":
                 continue
             if first in units and units[first] == units.get(second) and "(" not in (first[0], second[0]):
-                out += [
-                    LawTerm((f"{first}^{n}", f"{second}^{n}")) for n in (2, 4)
-                ]  # gas in a pipe, radiation
+                # gas in a pipe, radiation
+                out += [LawTerm((f"{first}^{n}", f"{second}^{n}")) for n in (2, 4)]
             signed = [name for name in (first, second) if has_both_signs(values[name])]
             flows = [
                 name

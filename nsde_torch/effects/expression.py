@@ -102,9 +102,8 @@ class _Settling:
         ):
             return {}
         if isinstance(node, Call) and node.function == "pow":
-            return (
-                {} if self.unit(node.arguments[0]) == {} else None
-            )  # of any power: the unit of its size is unknown
+            # of any power: the unit of its size is unknown
+            return {} if self.unit(node.arguments[0]) == {} else None
         if isinstance(node, Call) and node.function == "root":
             inner = self.unit(node.arguments[0])
             whole = inner is not None and all(power % 2 == 0 for power in inner.values())

@@ -274,9 +274,7 @@ def beside_provisional(found: Sequence[Found]) -> list[Found]:
     ]
 
 
-_HANGS = (
-    0.5  # share of a size by which it changes without what is provisional, from which it is provisional too
-)
+_HANGS = 0.5  # share by which a size changes without what is provisional, from which it is provisional too
 
 
 def dependent_on_provisional(outcome: Outcome) -> Outcome:

@@ -237,20 +237,18 @@ class Outcome:
         Data show the sum of a loss to the surroundings and a law of the same temperature; how it is shared out is the
         formula's. Of an oven that radiates the loss was 38 standard errors off beside `c1 expm1(k1 temp)`.
         """
-        v, basis, out = self.final.vector, self.final.shown.basis, dict[str, tuple[str, ...]]()
-        laws = [f.name for f in self.found if is_law(f.name) and not f.provisional]
-        if not laws:
+        out = dict[str, tuple[str, ...]]()
+        if self.joint is None:
             return out
-        covariance = basis @ self.spread.covariance @ basis.T
-        known = np.diag(covariance) > 0.0
-        for name in laws:
-            own = [j for j in v.of(name) if known[j]]
+        best, declared = self.joint.final.best, {*self.declared.vector.labels}
+        covariance, free = best.spread.covariance, [best.vector.labels[j] for j in best.free]
+        for law in [f.name for f in self.found if is_law(f.name) and not f.provisional]:
+            own = [k for k, label in enumerate(free) if label.startswith(f"{law}.")]
             within = np.linalg.pinv(covariance[np.ix_(own, own)], hermitian=True)
-            for j, label in enumerate(v.labels):
-                if label in self.declared.vector.labels and known[j]:
-                    share = covariance[j, own] @ within @ covariance[j, own] / covariance[j, j]
-                    if share > _SHARED:
-                        out[label] = (*out.get(label, ()), name)
+            for k, label in enumerate(free):
+                share = covariance[k, own] @ within @ covariance[k, own]
+                if label in declared and share > _SHARED * covariance[k, k]:
+                    out[label] = (*out.get(label, ()), law)
         return out
 
     @cached_property

@@ -339,12 +339,12 @@ def _by_its_zeros(likely: Likely, runs: Sequence[Run], system: System, dt: float
     moved = np.any([(part != part[0]).any(0) for part in inputs], axis=0)
     # one by one: beside the speed of a vehicle, which varies slowly, a steering that is held over 35 rows was no reason
     each = [smoothers.spectra_of([part[:, [j]] for part in inputs], dt) for j in np.flatnonzero(moved)]
-    if not each or any(seen is None or not (seen.power > 0).all() for seen in each):
+    seen = [one for one in each if one is not None and (one.power > 0).all()]
+    if not each or len(seen) < len(each):
         return False
     return all(
-        GAIN * smoothers.fit(seen, likely.smoother).deviance > smoothers.fit(seen, None).deviance
-        for seen in each
-        if seen is not None
+        GAIN * smoothers.fit(one, likely.smoother).deviance > smoothers.fit(one, None).deviance
+        for one in seen
     )
 
 

@@ -3,13 +3,17 @@
 import os
 import sys
 from collections.abc import Sequence
+from functools import partial
 from typing import NoReturn
 
 from nsde_torch.errors import NsdeError
 from nsde_torch.lookup import did_you_mean
+from nsde_torch.progress import WHEN_COMPILING
 
 from .exit_status import OK, USER_ERROR
 from .registry import all_commands, entry_of
+
+_COMPILING = "compiling for this machine; later runs find it done"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -40,6 +44,7 @@ def entry() -> NoReturn:
     for library in ("OPENBLAS", "OMP", "MKL"):
         # before numpy is imported: on a busy machine its small products take twenty times longer with two threads
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+    WHEN_COMPILING.append(partial(print, _COMPILING, file=sys.stderr, flush=True))
     try:
         status = main()
         sys.stdout.flush()

@@ -7,8 +7,25 @@ from collections.abc import Callable
 from typing import TypeVar, cast
 
 from numba import njit
+from numba.core import event
+
+from nsde_torch.progress import WHEN_COMPILING
 
 Function = TypeVar("Function", bound=Callable[..., object])
+
+
+class _Compiling(event.Listener):
+    """Tells those who wait (`WHEN_COMPILING`): a first diagnosis said nothing for 40 s while it read its log."""
+
+    def on_start(self, event: object) -> None:
+        while WHEN_COMPILING:
+            WHEN_COMPILING.pop()()
+
+    def on_end(self, event: object) -> None:
+        """Nothing more is to be told."""
+
+
+event.register("numba:compile", _Compiling())
 
 
 def compiled(function: Function) -> Function:

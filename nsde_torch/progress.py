@@ -18,6 +18,9 @@ PROGRESS = "NSDE_PROGRESS"
 LOG = logging.getLogger(__name__)
 """Takes each stage when it begins, for the file of a job; a handler that writes to a terminal shows it twice."""
 
+WHEN_COMPILING: list[Callable[[], None]] = []
+"""Called once, when loops are compiled that this machine has not run yet."""
+
 _AGAIN_S = 25.0  # after which the line of a stage that lasts is printed again
 Say = Callable[[str, int, int], None]
 """Takes stage, number done and number in all."""

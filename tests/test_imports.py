@@ -10,15 +10,16 @@ import pytest
 
 # Each part may import itself and what it names here.
 TOOLS = ("cache", "lazy", "progress", "recall", "texts", "threads", "time_limit", "whole_files")
-ALONE = ("aligned", "arrays", "errors", "jit", *TOOLS)
+ALONE = ("aligned", "arrays", "errors", *TOOLS)
 ONLY_ERRORS = ("options", "columns", "lookup", "plain_yaml", "shown")
-BASE = {*ALONE, *ONLY_ERRORS, "rotation"}
+BASE = {*ALONE, *ONLY_ERRORS, "jit", "rotation"}
 MACHINES = {*BASE, "systems", "effects"}
 LEARNED = {*MACHINES, "data", "recording", "sde", "models", "plots"}
 TRAINED = {"inference", "sysid", "evaluation", "training"}
 MAY_IMPORT = {
     **{name: set() for name in ALONE},
     **{name: {"errors"} for name in ONLY_ERRORS},
+    "jit": {"progress"},
     "rotation": {"errors", "columns"},
     "plots": {*MACHINES, "data"},
     "effects": {*BASE, "systems"},

@@ -22,3 +22,11 @@ def test_without_a_folder_for_machine_code_it_is_compiled_anew(monkeypatch: pyte
 
 def test_a_division_by_nothing_is_infinite() -> None:
     assert compiled(lambda a, b: a / b)(1.0, 0.0) == np.inf
+
+
+def test_what_is_compiled_is_said_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    said: list[str] = []
+    monkeypatch.setattr("nsde_torch.jit.WHEN_COMPILING", [lambda: said.append("compiling")])
+    for start in (0, 1.0):  # two types, each compiled
+        compiled(lambda a: a + 1)(start)
+    assert said == ["compiling"]

@@ -27,7 +27,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from nsde_torch.arrays import Array
 from nsde_torch.diagnosis.candidates import candidate_names
@@ -101,7 +101,7 @@ def chance_beyond(
     The likelihood ratios (2 log L) that it brings and that feedback may hide are by channel, of which it moves some.
     """
     beyond = sum(max(gained[c] - allowed.get(c, 0.0), 0.0) for c in moved)
-    return float(chi2.sf(beyond, max(count, 1)))
+    return float(chdtrc(max(count, 1), beyond))
 
 
 def shown_by_instruments(found: Identification, effect: str, alpha: float) -> bool:

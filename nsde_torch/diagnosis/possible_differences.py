@@ -56,7 +56,7 @@ def columns_beside(
 ) -> ColumnsBeside:
     """Columns of all that may differ, from the optimum of some physics: of effects, of the candidates alone.
 
-    Of all its own parameters `together` too; of `steady` forces and zeros alone, that are no part of it.
+    Of all its own parameters `together` too; of what is no part of it, of `steady` forces and zeros alone.
     """
     space, about, vector = place.at.of.space, place.at.about, place.best.vector
     tables = [space.columns(about.x, about.slopes, range(len(vector)), about.after)]
@@ -79,7 +79,7 @@ def columns_beside(
         PossibleDifference(s, target, np.eye(at)[:, a : a + k], split_name(target)[0] != RunInertia.name)
         for target, s, a, k in new
     ]
-    candidates += _of_the_physics(place, at, together, steady)
+    candidates += _of_the_physics(place, at, together)
     return ColumnsBeside(candidates, table, held.blocks)
 
 
@@ -124,9 +124,7 @@ def _may_differ(place: FittedPhysics, system: System, target: str) -> bool:
     return may_differ(plain, target, steps.x0[some, : system.nx].double(), u.double())
 
 
-def _of_the_physics(
-    place: FittedPhysics, whole: int, together: bool, steady: bool
-) -> Iterator[PossibleDifference]:
+def _of_the_physics(place: FittedPhysics, whole: int, together: bool) -> Iterator[PossibleDifference]:
     """Parameters of the machine, sizes of its effects, and its mass, of a table of so many columns.
 
     `together`, all its own parameters too, unless the machine says what a load changes: one at the tip of an arm
@@ -149,8 +147,6 @@ def _of_the_physics(
         if law in OF_EACH_RUN:
             each = joined_name(OF_EACH_RUN[law], coordinate)
             yield PossibleDifference(system, each, every[:, at.columns], False)
-        elif steady:
-            continue
         elif target not in differing and _may_differ(place, system, target):
             yield PossibleDifference(system, target, every[:, at.columns], False)
             if (
@@ -161,13 +157,7 @@ def _of_the_physics(
     if together and len(machine) > 1 and not system.over_mass:
         turn = np.concatenate([every[:, at.columns] for at in machine], 1)
         yield PossibleDifference(system, ",".join(at.name for at in machine), turn, False)
-    if (
-        not steady
-        and system.over_mass
-        and of_mass(system, MASS)
-        and MASS not in differing
-        and int((mass != 0).sum()) > 1
-    ):
+    if system.over_mass and of_mass(system, MASS) and MASS not in differing and int((mass != 0).sum()) > 1:
         yield PossibleDifference(system, MASS, mass, False)
 
 

@@ -30,13 +30,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import reduce
 from itertools import combinations, groupby, pairwise
-from math import log
+from math import inf, log
 from typing import Literal, TypeAlias
 
 import numpy as np
 import torch
 from scipy.linalg import block_diag
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from nsde_torch.arrays import Array, Labels
 from nsde_torch.inference.estimate import Optimum
@@ -772,7 +772,8 @@ def log_chance(scores: FunctionScores) -> float:
     mean, variance = float(drawn.mean()), float(drawn.var())
     if not variance:
         return 0.0
-    return float(chi2.logsf(2.0 * mean / variance * np.square(scores.total).sum(), 2.0 * mean**2 / variance))
+    p = float(chdtrc(2.0 * mean**2 / variance, 2.0 * mean / variance * np.square(scores.total).sum()))
+    return log(p) if p else -inf
 
 
 def _on_ports(groups: Sequence[BasisGroup], each: Sequence[torch.Tensor]) -> list[tuple[int, torch.Tensor]]:

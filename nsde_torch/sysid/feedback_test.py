@@ -29,7 +29,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 import torch
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from nsde_torch.arrays import Array, Labels, Mask
 from nsde_torch.data import Run
@@ -408,7 +408,7 @@ def _answers_of(
             found.append(Answer(way.name, name, share, chance, regression.dt * within))
             own += [chance] if channel in way.channels else []
     statistic = -2.0 * float(np.log(np.maximum(own, 1e-300)).sum())
-    return _adjusted(found), float(chi2.sf(statistic, 2 * len(own))) if own else 1.0
+    return _adjusted(found), float(chdtrc(2 * len(own), statistic)) if own else 1.0
 
 
 def _made_from_states(

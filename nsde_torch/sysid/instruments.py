@@ -20,9 +20,7 @@ from typing import Any
 
 import numpy as np
 from scipy.signal import lfilter
-from scipy.special import stdtrit
-from scipy.stats import chi2
-from scipy.stats import t as student
+from scipy.special import chdtrc, stdtr, stdtrit
 
 from nsde_torch.arrays import Array, Labels, Mask
 from nsde_torch.data import Run
@@ -218,7 +216,7 @@ def instrumental(
     apart = spread.parts - (sure.parts @ basis.T)[:, known]
     error = np.sqrt(np.square(apart).sum(0))
     ratio = np.abs(here.theta - start)[known] / np.maximum(error, 1e-300)
-    chances = 2.0 * student.sf(ratio, degrees.clip(1.0))
+    chances = 2.0 * stdtr(degrees.clip(1.0), -ratio)
     unexplained, misfit = stage.sargan(chosen)
     k, shown = len(labels), known[chosen]
     return replace(
@@ -347,7 +345,7 @@ class _Stage:
             return 1.0, 0.0
         score = (moments.sum(0) @ vectors)[-free:]
         statistic = float(np.square(score) @ (1.0 / values[-free:]))
-        return float(chi2.sf(statistic, free)), statistic
+        return float(chdtrc(free, statistic)), statistic
 
 
 def _boxes(regression: Regression, names: Sequence[str]) -> Array:

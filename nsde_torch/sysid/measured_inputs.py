@@ -27,7 +27,7 @@ from numpy.fft import fftshift, irfft
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.ndimage import median_filter
 from scipy.signal import fftconvolve, get_window, lfilter, welch
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from nsde_torch.arrays import Array
 from nsde_torch.data import DataSet, Finding, Run
@@ -382,7 +382,7 @@ def around_levels(runs: Sequence[Run], column: int) -> NoisyInput | None:
     """
     parts = [np.asarray(run.u[a:b, column]) for run in runs for a, b in run.segments]
     changes = np.abs(np.concatenate([np.diff(u) for u in parts]))
-    std = float(np.quantile(changes, _SAME)) / (norm.ppf(0.5 + 0.5 * _SAME) * 2.0**0.5)
+    std = float(np.quantile(changes, _SAME)) / (ndtri(0.5 + 0.5 * _SAME) * 2.0**0.5)
     values = left = np.sort(np.concatenate(parts))
     levels: list[float] = []
     squares = tight = 0.0

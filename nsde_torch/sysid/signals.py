@@ -15,7 +15,7 @@ from itertools import pairwise
 
 import numpy as np
 import torch
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from nsde_torch.arrays import Array, Mask
 from nsde_torch.columns import join_columns
@@ -111,7 +111,7 @@ def score_tests(innovations: Array, columns: Array, fitted: Array) -> list[tuple
         statistic = float(score @ np.linalg.pinv(scatter, hermitian=True) @ score)
         share = float(score @ score / (e @ e))
         # what chance alone predicts is taken off
-        out.append((float(chi2.sf(statistic, count)), max(0.0, 1.0 - (1.0 - share) * (free + count) / free)))
+        out.append((float(chdtrc(count, statistic)), max(0.0, 1.0 - (1.0 - share) * (free + count) / free)))
     return out
 
 

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from scipy.stats import chi2, norm, t
+from scipy.special import chdtri, ndtri, stdtrit
 
 from nsde_torch.arrays import Array, Labels
 from nsde_torch.data import Run
@@ -139,7 +139,7 @@ def _forces(at: Optimum, system: System, beside: Functions | None) -> list[tuple
 
 def _chosen(of_runs: Array, shared: Labels, candidates: Mapping[str, Labels]) -> list[str]:
     """Targets that raise the likelihood beyond chance, of candidates with their columns of the Gram matrices."""
-    enough = 0.5 * float(chi2.isf(2.0 * _CHANCE / max(len(candidates), 1), 1))
+    enough = 0.5 * float(chdtri(1, 2.0 * _CHANCE / max(len(candidates), 1)))
     information = {name: float(of_runs[:, 1 + c, 1 + c].mean()) for name, c in candidates.items()}
     chosen: dict[str, float] = {}  # with the variance
 
@@ -236,7 +236,7 @@ def spreads(system: System) -> list[RunSpread]:
             square, degrees = np.square(each).sum(0) / (count - 1) * (1.0 + 1.0 / count), count - 1
         else:  # about nothing
             square, degrees = np.square(each).mean(0), count
-        wider = t.ppf(0.5 + 0.5 * _LEVEL, degrees) / norm.ppf(0.5 + 0.5 * _LEVEL)
+        wider = stdtrit(degrees, 0.5 + 0.5 * _LEVEL) / ndtri(0.5 + 0.5 * _LEVEL)
         std = tuple((wider * np.sqrt(square)).tolist())
         target = target_of(str(effect.name)) or str(effect.name)
         out.append(RunSpread(target, tuple(map(tuple, each.tolist())), std, effect.parameter(key).unit))

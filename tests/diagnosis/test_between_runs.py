@@ -184,6 +184,7 @@ def test_an_oscillation_has_a_phase_of_its_own_in_each_run() -> None:
         assert high - low < 0.03
 
 
+@pytest.mark.slow
 def test_what_swings_beside_a_wave_from_outside_is_no_load_for_sure() -> None:
     phases = [0.3, 2.9, 5.1]
     runs = [

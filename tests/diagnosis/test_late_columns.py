@@ -30,7 +30,13 @@ def _starboard_late(run: RawRun, rows: int) -> RawRun:
     return replace(run, u=u)
 
 
-@pytest.mark.parametrize(("channel", "late"), [("turn", _turn_late), ("starboard", _starboard_late)])
+@pytest.mark.parametrize(
+    ("channel", "late"),
+    [
+        ("turn", _turn_late),
+        pytest.param("starboard", _starboard_late, marks=pytest.mark.slow),
+    ],
+)
 def test_a_column_that_is_a_row_late_is_found_beside_a_drag(
     channel: str, late: Callable[[RawRun, int], RawRun]
 ) -> None:
@@ -51,6 +57,7 @@ def _turn_filtered(run: RawRun, time: float) -> RawRun:
     return replace(run, x=x)
 
 
+@pytest.mark.slow
 def test_a_sensor_behind_a_filter_is_that_and_no_delay() -> None:
     runs = [_turn_filtered(run, 0.15) for run in sailed(slip=0.3)]
     found = nsde_torch.diagnose(runs, system=BOAT, say=False).content()

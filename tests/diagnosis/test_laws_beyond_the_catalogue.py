@@ -56,6 +56,7 @@ def test_a_product_that_no_catalogue_has_is_found_added_verified_and_written(tmp
     assert value == pytest.approx(content["parameters"][f"{LAW}.c1"]["value"], rel=1e-5)
 
 
+@pytest.mark.slow
 def test_a_spring_that_rests_under_preload_is_that() -> None:
     """In a throttle it was a magnet, a ripple and two waves."""
     law, rng, runs = "force = c1 sign(q - k1, k2)", np.random.default_rng(5), []

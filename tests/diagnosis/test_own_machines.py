@@ -125,8 +125,7 @@ def servo(hertz: float, ratio: float) -> Intervals:
         case("the zero of a gap, of which a force is no line", Lift, lambda: lifted(bias=0.0009),
              {"position_bias.bias": (0.0009, 1e-5, 1e-4)}),
         case("a current", Ship, lambda: voyages((0.12, -0.2)),
-             {"drift_velocity[x].velocity": (0.12, 0.002, 0.02), "drift_velocity[y].velocity": (-0.2, 0.002, 0.02)},
-             slow=False),
+             {"drift_velocity[x].velocity": (0.12, 0.002, 0.02), "drift_velocity[y].velocity": (-0.2, 0.002, 0.02)}),
         case("still water", Ship, lambda: voyages((0.0, 0.0)), {}, slow=False),
         case("a wall that stores heat", Room, lambda: warmed(exchange=0.015), WALL, slow=False),
         # which was `unexplained`
@@ -137,9 +136,8 @@ def servo(hertz: float, ratio: float) -> Intervals:
              {f"{AIR}.c1": (-0.01, 0.001, ANY), f"{AIR}.k1": (1.25, 0.05, 0.2)}, slow=False),
         case("a sound room", Room, warmed, {}, slow=False),
         case("a sound car", Car, driven, {}, slow=False),
-        case("what disturbs a state that no port pushes", CoilMotor, lambda: turns(6, 60.0, ripple=0.3).runs, {},
-             slow=False),
-        case("a servo that swings", SPRING, lambda: behind_a_servo(1.5, 0.1), servo(1.5, 0.1), slow=False),
+        case("what disturbs a state that no port pushes", CoilMotor, lambda: turns(6, 60.0, ripple=0.3).runs, {}),
+        case("a servo that swings", SPRING, lambda: behind_a_servo(1.5, 0.1), servo(1.5, 0.1)),
         # of this one the fit without it takes the input for nothing
         case("a fast servo that swings", SPRING, lambda: behind_a_servo(3.0, 0.3), servo(3.0, 0.3)),
     ],
@@ -182,6 +180,7 @@ def test_the_zero_of_a_position_is_a_candidate_where_something_depends_on_it() -
         assert bool(found) == bool(reason)
 
 
+@pytest.mark.slow
 def test_what_a_motor_that_turns_one_way_cannot_tell_is_a_tie() -> None:
     """Dry friction, a steady torque and a dead band are one constant, beside what differs within a run too."""
     runs = []
@@ -211,6 +210,7 @@ def test_what_a_motor_that_turns_one_way_cannot_tell_is_a_tie() -> None:
     assert max(abs(low + high) / 2 for low, high in ends) == pytest.approx(0.2, abs=0.02)
 
 
+@pytest.mark.slow
 def test_dry_friction_of_a_motor_whose_current_settles_within_a_row() -> None:
     few = ("coulomb_friction", "relaxation", "viscous_friction", "actuator_lag")
     found = nsde_torch.diagnose(

@@ -51,6 +51,7 @@ def test_a_spring_that_hardens_is_fitted_in_any_unit(metres: float) -> None:
     assert_near(found, truth)
 
 
+@pytest.mark.slow
 def test_a_machine_that_oscillates_fast_keeps_the_rows_that_show_it() -> None:
     slow, faster = hardening_runs(1.0, steps=2000, dt=0.1, fine=40), 500.0  # rows of 0.2 ms
     runs = [RawRun(one.name, one.t / faster, one.x * (1.0, faster), one.u * faster**2) for one in slow]
@@ -64,6 +65,7 @@ def test_a_machine_that_oscillates_fast_keeps_the_rows_that_show_it() -> None:
     assert found.parameters[CUBIC]["value"] == pytest.approx(TRUTH[CUBIC] * faster**2, rel=2e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("second", [1e-4, 300.0])
 def test_a_machine_is_diagnosed_at_any_pace(second: float) -> None:
     rng, runs = np.random.default_rng(1), []

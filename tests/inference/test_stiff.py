@@ -96,6 +96,7 @@ def test_a_fit_follows_a_ridge_that_bends() -> None:
     assert found["decay"] == pytest.approx(1000.0, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_model_of_it_predicts() -> None:
     data = turns(4, 1000.0)
     model = nsde_torch.train(data, system=CoilMotor, model="sysid", say=False)

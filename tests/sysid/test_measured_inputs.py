@@ -89,6 +89,7 @@ def inputs_of(runs: list[RawRun]) -> tuple[DataSet, list[str]]:
     return data, [f.kind for f in data.summary.findings if f.kind.startswith("input_")]
 
 
+@pytest.mark.slow
 def test_a_force_that_moves_between_rows_acts_as_the_mean_of_both() -> None:
     runs = driven(3, lag_s=0.03)
     data, kinds = inputs_of(runs)

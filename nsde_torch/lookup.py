@@ -3,9 +3,10 @@
 import importlib
 from collections.abc import Callable, Collection, Mapping
 from difflib import get_close_matches
+from traceback import extract_tb
 from typing import Any, TypeVar, cast
 
-from nsde_torch.errors import ConfigError
+from nsde_torch.errors import ConfigError, NsdeError
 
 T = TypeVar("T")
 
@@ -73,11 +74,25 @@ def _found(module: str, attribute: str, *, kind: str, name: str, what: str) -> A
     if not module or module.startswith("."):
         raise ConfigError(f"{kind} {name!r}: expected `module:{what}`, with the full name of the module.")
     try:
-        return getattr(importlib.import_module(module), attribute)
+        loaded = importlib.import_module(module)
     except ModuleNotFoundError as error:
         raise ConfigError(
             f"{kind} {name!r}: no module {error.name!r}. Put its file beside your configuration "
             "(--config-dir) or on PYTHONPATH."
         ) from error
+    except (NsdeError, KeyboardInterrupt):
+        raise
+    except Exception as error:  # of the user's own file, whatever it is
+        place = [frame for frame in extract_tb(error.__traceback__) if frame.name == "<module>"][-1:]
+        at = f" ({place[0].filename}, line {place[0].lineno})" if place else ""
+        raise ConfigError(
+            f"{kind} {name!r}: its file does not load: {type(error).__name__}: {error}{at}."
+        ) from error
+    try:
+        return getattr(loaded, attribute)
     except AttributeError as error:
-        raise ConfigError(f"{kind} {name!r}: module {module!r} has no {what} {attribute!r}.") from error
+        own = [known for known, value in vars(loaded).items() if getattr(value, "__module__", "") == module]
+        raise ConfigError(
+            f"{kind} {name!r}: module {module!r} has no {what} {attribute!r}."
+            + (did_you_mean(attribute, own) or (f" It has {', '.join(own)}." if own else ""))
+        ) from error

@@ -396,7 +396,8 @@ class LawSearch:
             effect, shapes = same
             there = search.fitted(joined(search.without(place, name).system, effect, shapes), place)
             again = search.concluded(there, before=found.selected)
-            if effect in again.selected:
+            # a friction that holds with more than it slides with was a sign of the speed: it is that of Stribeck
+            if effect in again.selected or again.final.value > found.final.value:
                 found = again
         return found
 

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from nsde_torch.systems.base import System
 
 _ANGLES = ("rad", "deg")
+_FRAMES = ("world", "body")  # in which a velocity is that of its position
 SPEEDS = ("m/s", "rad/s", "deg/s")  # units by which a state is known for a velocity
 
 
@@ -90,12 +91,44 @@ def _check(c: Coordinate, cls: type[System]) -> None:
         raise ConfigError(f"{where}: load {c.load!r} must be one of `quantities`, one column wide.")
 
 
+def _check_names(cls: type[System]) -> None:
+    """That names and units of a class go together, before they are looked for in a log."""
+    name, inputs = getattr(cls, "name", cls.__name__), getattr(cls, "input_names", ())
+    for what, names, of in (
+        ("state", cls.state_names, cls.state_units),
+        ("input", inputs, getattr(cls, "input_units", inputs)),
+    ):
+        if isinstance(names, str) or isinstance(of, str):
+            raise ConfigError(
+                f"system {name!r}: `{what}_names` and `{what}_units` are tuples, ('q',) where there is one; "
+                f"got {names!r} and {of!r}."
+            )
+        if len(names) != len(of):
+            raise ConfigError(
+                f"system {name!r}: `{what}_units` must have one unit for each of the {len(names)} "
+                f"`{what}_names`; got {len(of)}."
+            )
+    known = [*cls.state_names, *inputs]
+    twice = sorted({n for n in known if known.count(n) > 1})
+    if twice:
+        raise ConfigError(f"system {name!r} has several columns called {', '.join(twice)}.")
+    for triple in cls.position_derivatives:
+        ties = not isinstance(triple, str) and len(triple) == 3
+        if not (ties and {*triple[:2]} <= {*cls.state_names} and triple[2] in _FRAMES):
+            raise ConfigError(
+                f"system {name!r}: `position_derivatives` has (position, velocity, frame) for each pair of "
+                f"states ({', '.join(cls.state_names)}), with a frame of {' or '.join(map(repr, _FRAMES))}; got "
+                f"{triple!r}."
+            )
+
+
 def describe(cls: type[System]) -> None:
     """Fill in what a class of systems does not say of itself: errors and features are the state's."""
     names: tuple[str, ...] | None = getattr(cls, "state_names", None)
     units: tuple[str, ...] | None = getattr(cls, "state_units", None)
     if names is None or units is None:
         return
+    _check_names(cls)
     if getattr(cls, "error_names", None) is None:
         cls.error_names = names
     if getattr(cls, "error_groups", None) is None and cls.error_names == names:

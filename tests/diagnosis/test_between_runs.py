@@ -16,8 +16,9 @@ from nsde_torch.data.raw import RawRun
 from nsde_torch.diagnosis.stages import MOVING_ROWS
 from nsde_torch.diagnosis.text import lines
 from nsde_torch.errors import ConfigError
+from nsde_torch.systems import System
 from tests.helpers.machines import Array, held, simulated
-from tests.helpers.own_machines import STEP, pushed_spring
+from tests.helpers.own_machines import STEP, Room, pushed_spring, warmed
 
 HOME, SPRING = "double_pendulum:DoublePendulum", "mass_spring_damper"
 
@@ -38,7 +39,9 @@ def _importable(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(root / "examples" / "double_pendulum")
 
 
-def diagnosed(runs: DataSet | Sequence[RawRun], system: str = SPRING, **options: Any) -> dict[str, Any]:
+def diagnosed(
+    runs: DataSet | Sequence[RawRun], system: str | type[System] = SPRING, **options: Any
+) -> dict[str, Any]:
     return dict(nsde_torch.diagnose(runs, system=system, say=False, **options).content())
 
 
@@ -135,6 +138,16 @@ def test_a_gain_that_falls_at_moments_of_two_runs_is_no_drift() -> None:
     # the reference is one of the parts
     values = sorted([gain, *(gain + p["value"] for p in own)])
     assert values == pytest.approx([0.75, 0.75, 1.0, 1.0], abs=0.02)
+
+
+def test_a_heater_that_becomes_weaker_in_one_run_is_no_noise() -> None:
+    content = diagnosed(warmed(weaker=0.12), Room)
+    assert content["added"] == ["run_difference[gain]"]
+    ((first, last),) = content["data"]["moments"]["run_1"]
+    assert first <= 1450.0 <= last
+    own = [p for key, p in content["parameters"].items() if key.startswith("run_difference[gain]")]
+    least = min(own, key=lambda p: p["value"])
+    assert least["interval_90"][0] < -0.06 < least["interval_90"][1]
 
 
 def test_a_friction_of_one_run_alone_is_one_thing_that_is_missing() -> None:

@@ -247,9 +247,17 @@ class Room(System):
 
 
 def warmed(
-    *, exchange: float = 0.0, time: float = 120.0, wall: float = 5.0, leak: float = 0.0, power: float = 0.5
+    *,
+    exchange: float = 0.0,
+    time: float = 120.0,
+    wall: float = 5.0,
+    leak: float = 0.0,
+    power: float = 0.5,
+    weaker: float = 0.0,
 ) -> list[RawRun]:
-    """Runs of a room whose wall takes heat up and gives it back, and that loses heat with a power of it."""
+    """Runs of a room whose wall takes heat up and gives it back, that loses heat with a power of it, and whose heater
+    is weaker by a share in the second half of run 1.
+    """
 
     def rates(x: Array, u: Array) -> list[float]:
         heat = GAIN * u[0] - LOSS * x[0] - leak * max(x[0], 0.0) ** power
@@ -258,8 +266,10 @@ def warmed(
     rng, out = np.random.default_rng(4), []
     for number in range(3):
         heater = held(rng, 0.0, 1.0, 900, each=30)
-        run = simulated(number, rates, [5.0, wall], heater, 1.0, noise=(0.02, 0.0), rng=rng, fine=2)
-        out.append(replace(run, x=run.x[:, :1]))
+        acts = heater.copy()
+        acts[450:] *= 1.0 - weaker * (number == 1)
+        run = simulated(number, rates, [5.0, wall], acts, 1.0, noise=(0.02, 0.0), rng=rng, fine=2)
+        out.append(replace(run, x=run.x[:, :1], u=heater))
     return out
 
 

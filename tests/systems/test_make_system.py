@@ -2,6 +2,7 @@
 
 import copy
 import math
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -88,6 +89,59 @@ def test_a_system_of_ones_own_is_found_by_module_and_class_and_what_it_cannot_im
     assert make_system("my_machines:Springs").name == "mass_spring_damper"
     with pytest.raises(ConfigError, match="no_such_package_at_all"):
         make_system("my_broken_machine:Mine")
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "said"),
+    [
+        ('"q_dot", "world"', '"q_dot"', r"has \(position, velocity, frame\).* got \('q', 'q_dot'\)"),
+        ('(("q", "q_dot",', '(("q", "qdot",', r"pair of states \(q, q_dot\)"),
+        ('"m", "m/s"', '"m",', "`state_units` must have one unit for each of the 2"),
+        ('("force",)', '("force")', "are tuples, .* got 'force'"),
+        ('("force",)', '("q",)', "has several columns called q"),
+        (
+            "import torch\nfrom nsde_torch.effects",
+            "import torch\nfrom nsde_torch.systems import Sytem\nfrom nsde_torch.effects",
+            r"does not load: ImportError.*line 2",
+        ),
+        ("def dynamics(self", "def dynamics self", "does not load: SyntaxError"),
+        ("class Mass(", "class Masses(", "has no class 'Mass'. Did you mean 'Masses'"),
+        ("    ports = {Port.FORCE: 1}\n", "", "does not say what its `ports` are"),
+        ("dw), 1)", "dw), 0)", r"must return rates \(N, 2\); of 3 states it returned \(6, 1\)"),
+        ("x[:, 1:]", "x[:, 2:3] @ x", r"fails: RuntimeError.*line 18"),
+        ("+ forces[Port.FORCE]", "", r"a force \(N, 1\) on 'force', does not answer it"),
+    ],
+)
+def test_a_mistake_in_a_machine_of_ones_own_is_named(
+    right: str, wrong: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert MASS.count(right) == 1
+    name = f"mass_{zlib.crc32((right + wrong).encode())}"
+    (tmp_path / f"{name}.py").write_text(MASS.replace(right, wrong))
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(ConfigError, match=said):
+        make_system(f"{name}:Mass")
+
+
+MASS = """import torch
+from nsde_torch.effects import Port
+from nsde_torch.systems import Defaults, ResidualPort, System
+
+class Mass(System):
+    name = "mass"
+    state_names, state_units = ("q", "q_dot"), ("m", "m/s")
+    input_names, input_units = ("force",), ("N",)
+    position_derivatives = (("q", "q_dot", "world"),)
+    ports = {Port.FORCE: 1}
+    residual_ports = {Port.FORCE: ResidualPort(1, 5.0, "m/s2")}
+    defaults = Defaults(0.02, 25, (0.2, 1.0), 0.1, 1.0, "euler_maruyama")
+
+    def dynamics(self, t, x, u, forces):
+        dw = u
+        if Port.FORCE in forces:
+            dw = dw + forces[Port.FORCE]
+        return torch.cat((x[:, 1:], dw), 1)
+"""
 
 
 def test_a_copy_has_numbers_of_its_own() -> None:

@@ -382,7 +382,8 @@ class JointSearch:
             if better is None:
                 there = frozenset(place.system.effect_names)
                 nearer = self._places.get(there, place)
-                if nearer.best.likelihood < place.best.likelihood + self.search.decisions.alike_nats:
+                # not where both are minus infinity: of a cart the same 43 effects were tried six times
+                if not nearer.best.likelihood > place.best.likelihood + self.search.decisions.alike_nats:
                     break
                 # the fit of a candidate has led there
                 self.declared = nearer if place is self.declared else self.declared

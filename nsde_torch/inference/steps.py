@@ -546,6 +546,7 @@ class Chunks:
         u: Inputs held from each row on (T, C, nu).
         t: Logged time of each row (T, C) [s].
         counted: Whether the innovation of a row is part of the likelihood (T, C).
+        beyond: Whether a row lies beyond the end of its stretch, which is shorter than a chunk (T, C).
         stretch: Number of the stretch of each chunk (C,).
         row: Number of the step that starts at each row (T, C); of a last row, that of the one before.
         since: Rows since the start of the stretch (T, C).
@@ -583,6 +584,7 @@ class Chunks:
         self.y = torch.where(torch.from_numpy(ended)[..., None], steps.seen1[self.row], steps.seen0[self.row])
         self.u, self.t = steps.u[self.row], steps.t[self.row]
         self.counted = torch.from_numpy(np.array(counted).T.copy())
+        self.beyond = torch.from_numpy(rows > end_of[None, :])
         total = int(self.counted.sum()) * h
         shortest = max(_BLOCK_S * steps.pace, 0.01 * total)
         block = max(1, round(min(shortest, total / _FEWEST_BLOCKS) / h))
@@ -605,9 +607,8 @@ class Chunks:
     def some(self, which: Tensor) -> "Chunks":
         """Some of the chunks, by number."""
         out = copy.copy(self)
-        out.row, out.since, out.y, out.u, out.t, out.counted = (
-            part[:, which] for part in (self.row, self.since, self.y, self.u, self.t, self.counted)
-        )
+        rows = (self.row, self.since, self.y, self.u, self.t, self.counted, self.beyond)
+        out.row, out.since, out.y, out.u, out.t, out.counted, out.beyond = (part[:, which] for part in rows)
         out._owners, out.stretch = self._owners[which], self.stretch[which]
         out.count = len(which)
         return out

@@ -189,3 +189,18 @@ def test_what_is_below_stays_and_what_is_above_goes() -> None:
     assert float(out[inner, 2].abs().max()) < 0.02
     # a disk whose parameters all ended at bounds, behind a smoother, was a traceback of the Fourier transform
     assert low_passed(torch.zeros(100, 2, 0), 5.0, 0.02).shape == (100, 2, 0)
+
+
+def test_beyond_the_end_of_a_short_stretch_states_stay_where_they_were_measured() -> None:
+    """A pole falls there; its slopes were no numbers, and a search in rows that move began without a likelihood."""
+    effects = {"coulomb_friction[cart]": {"size": 0.4}}, {"viscous_friction[pole]": {"damping": 0.3}}
+    (run,) = recorded("cartpole", *effects, durations=(8.0,), dt=0.02, seed=2).runs
+    moving = (0, 180), (180, 225), (226, 266), (266, 310), (310, 350)
+    system = make_system("cartpole", effects=["coulomb_friction[cart]"])
+    problem = LogLikelihood(system, [replace(run, segments=moving)], 1.0)
+    _, at = maximised(problem)
+    chunks = problem.space.chunks
+    assert bool(chunks.beyond.any())
+    assert not bool((chunks.beyond & chunks.counted).any())
+    assert float(at.about.x.abs().max()) < 1.1 * float(chunks.y.abs().max())
+    assert bool(torch.isfinite(at.about.slopes).all())

@@ -177,6 +177,7 @@ def test_a_gust_in_one_run_has_its_time_and_its_size() -> None:
     assert sorted(map(abs, sizes.values()))[-2] < 0.02
 
 
+@pytest.mark.slow
 def test_an_oscillation_has_a_phase_of_its_own_in_each_run() -> None:
     phases = [0.3, 2.9, 5.1]
     runs = [

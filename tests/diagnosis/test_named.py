@@ -204,7 +204,8 @@ def test_a_regression_that_runs_away_is_where_the_likelihood_begins_and_no_more(
     assert_interval(content["parameters"], "coulomb_friction.size", 0.4, width=0.1)
 
 
-@pytest.mark.parametrize("weight", [pytest.param(0.3, marks=pytest.mark.slow), 1.0])
+@pytest.mark.slow
+@pytest.mark.parametrize("weight", [0.3, 1.0])
 def test_a_force_that_remembers_its_way_has_its_size_whatever_its_loop_looks_like(weight: float) -> None:
     """Of weights of 0.5 alone, Dahl's friction (1) was another force of the wrong size."""
     reach, size, runs = 0.08, 0.5, []

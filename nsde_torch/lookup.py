@@ -80,7 +80,7 @@ def _found(module: str, attribute: str, *, kind: str, name: str, what: str) -> A
             f"{kind} {name!r}: no module {error.name!r}. Put its file beside your configuration "
             "(--config-dir) or on PYTHONPATH."
         ) from error
-    except (NsdeError, KeyboardInterrupt):
+    except NsdeError:
         raise
     except Exception as error:  # of the user's own file, whatever it is
         place = [frame for frame in extract_tb(error.__traceback__) if frame.name == "<module>"][-1:]

@@ -157,7 +157,7 @@ def _of_one(name: str, v: Array, angle: bool, speed: bool) -> Iterator[LawTerm]:
     for exponent in () if speed else _EXPONENTS:
         for parts in ((f"expm1(k1 {name})",), ("", f"expm1(k1 {name})")):
             yield LawTerm(parts, (("k1", exponent / size),))
-    yield from _powers(name, v, signed, speed or angle)
+    yield from _powers(name, v, signed, angle, speed)
     for share in _PEAKS if signed else ():
         yield LawTerm((f"max(min({name}, k1), -k1)",), (("k1", share * size),))
     for side in ("max", "min"):
@@ -180,18 +180,21 @@ def _of_one(name: str, v: Array, angle: bool, speed: bool) -> Iterator[LawTerm]:
         yield from (LawTerm((f"sin({inner})",)), LawTerm((f"cos({inner})",)))
 
 
-def _powers(name: str, v: Array, signed: bool, bounded: bool) -> Iterator[LawTerm]:
-    """Powers that need not be whole; a variable that is `bounded` (a speed, an angle) has no pole and no level.
+def _powers(name: str, v: Array, signed: bool, angle: bool, speed: bool) -> Iterator[LawTerm]:
+    """Powers that need not be whole; a speed has no level, and neither it nor an angle has a pole.
 
     Seals rub with v^1.5, air carries heat off with the difference to 1.25, a weir lets out (h - k)^1.5, a ball on a
-    plate pushes back so, and what leaks through a hole at k goes with (h - k)^0.5: each was two to five other laws.
+    plate and a cable that comes tight push back so, and what leaks through a hole at k goes with (h - k)^0.5: each was
+    two to five other laws.
     """
-    for to in (*_POWERS, *((-1.0,) if not signed and not bounded else ())):
+    for to in (*_POWERS, *(() if signed or angle or speed else (-1.0,))):
         yield LawTerm((f"pow({name}, k1)",), (("k1", to),))
-    if bounded:
+    if speed:
         return
     for side, knot, to in product(("max", "min"), np.quantile(v, _KNOTS), _POWERS[:2]):
         yield LawTerm((f"pow({side}({name} - k1, 0), k2)",), (("k1", float(knot)), ("k2", to)))
+    if angle:
+        return
     low, high = np.quantile(v, (0.0, 1.0))
     for pole in (
         end + side * share * (high - low) for side, end in ((-1, low), (1, high)) for share in _BEYOND

@@ -103,10 +103,13 @@ def test_laws_are_tried_neither_beside_named_candidates_nor_where_the_budget_has
     assert all(f["lead"] and f["kind"] != "formula" for f in content["findings"])
 
 
+UNITS = {"theta": "rad", "theta_dot": "rad/s", "x_dot": "m/s"}
+
+
 def test_every_term_of_the_library_is_of_the_grammar_and_has_one_spelling() -> None:
     rng = np.random.default_rng(0)
     names = ["theta", "theta_dot", "x_dot"]
-    terms = terms_of(names, {n: rng.normal(size=200) for n in names}, {"theta": "rad"})
+    terms = terms_of(names, {n: rng.normal(size=200) for n in names}, UNITS)
     texts = [
         "torque = " + " + ".join(f"c{n} {part}".strip() for n, part in enumerate(term.parts, 1))
         for term in terms
@@ -126,7 +129,9 @@ def test_every_term_of_the_library_is_of_the_grammar_and_has_one_spelling() -> N
         "torque = c1 peak(x_dot, k1)",
         "torque = c1 window(theta - k1, k2)",
         "torque = c1 pow(theta_dot, k1)",
+        "torque = c1 pow(max(theta - k1, 0), k2)",
     } <= set(texts)
+    assert not {"torque = c1 pow(theta - k1, k2)", "torque = c1 pow(max(x_dot - k1, 0), k2)"} & set(texts)
 
 
 @pytest.mark.parametrize(

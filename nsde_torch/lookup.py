@@ -24,6 +24,18 @@ def did_you_mean(name: str, known: Collection[str], shown: str = "{!r}", *, cuto
     return f" Did you mean {shown.format(near[0])}?" if near else ""
 
 
+def raised(error: Exception, within: str) -> str:
+    """What went wrong in a file of the user's own, and in which line.
+
+    Args:
+        error: What was raised.
+        within: The function that the line is in, whatever it calls; `<module>` of a file that is loaded.
+    """
+    place = [frame for frame in extract_tb(error.__traceback__) if frame.name == within][-1:]
+    at = f" ({place[0].filename}, line {place[0].lineno})" if place else ""
+    return f"{type(error).__name__}: {error}{at}"
+
+
 def class_by_name(
     name: str, known: Mapping[str, type[T]], base: type[Any], *, kind: str, home: str
 ) -> type[T]:
@@ -83,11 +95,7 @@ def _found(module: str, attribute: str, *, kind: str, name: str, what: str) -> A
     except NsdeError:
         raise
     except Exception as error:  # of the user's own file, whatever it is
-        place = [frame for frame in extract_tb(error.__traceback__) if frame.name == "<module>"][-1:]
-        at = f" ({place[0].filename}, line {place[0].lineno})" if place else ""
-        raise ConfigError(
-            f"{kind} {name!r}: its file does not load: {type(error).__name__}: {error}{at}."
-        ) from error
+        raise ConfigError(f"{kind} {name!r}: its file does not load: {raised(error, '<module>')}.") from error
     try:
         return getattr(loaded, attribute)
     except AttributeError as error:

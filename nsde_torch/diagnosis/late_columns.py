@@ -149,11 +149,9 @@ def _latest(
     nats = float(difference.sum())
     if not nats > max(_NATS, sure_nats(search, sum_error(difference))):
         return None
-    own = {
-        system.state_names[k] for c in stream.channels if not stream.input for k in channel_columns(system, c)
-    }
-    behind = None
-    if own:
+    own, behind = set[str](), None
+    if not stream.input:
+        own = {system.state_names[k] for c in stream.channels for k in channel_columns(system, c)}
         behind = _behind_a_filter(
             search, late, own, rows, lambda k, physics: fitted(without(SensorLag(), stream, k), physics)
         )

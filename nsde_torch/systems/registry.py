@@ -1,14 +1,13 @@
 """The systems by name: those of the package, and `package.module:Class` of the user's own."""
 
 from collections.abc import Sequence
-from traceback import extract_tb
 from typing import Any
 
 import torch
 
 from nsde_torch.effects.base import Effect
 from nsde_torch.errors import ConfigError
-from nsde_torch.lookup import class_by_name
+from nsde_torch.lookup import class_by_name, raised
 from nsde_torch.systems.base import System
 from nsde_torch.systems.names import SYSTEM_HOMES
 from nsde_torch.systems.values import Values
@@ -81,10 +80,7 @@ def _check_dynamics(system: System) -> None:
         try:
             rates = system.dynamics(0.0, x, u, forces)
         except Exception as error:  # of the user's own file, whatever it is
-            place = extract_tb(error.__traceback__)[-1]
-            raise ConfigError(
-                f"{what} fails: {type(error).__name__}: {error} ({place.filename}, line {place.lineno})."
-            ) from error
+            raise ConfigError(f"{what} fails: {raised(error, 'dynamics')}.") from error
         if not isinstance(rates, torch.Tensor) or rates.shape != x.shape:
             shape = tuple(rates.shape) if isinstance(rates, torch.Tensor) else type(rates).__name__
             raise ConfigError(f"{what} must return rates (N, {system.nx}); of 3 states it returned {shape}.")

@@ -103,13 +103,10 @@ def test_laws_are_tried_neither_beside_named_candidates_nor_where_the_budget_has
     assert all(f["lead"] and f["kind"] != "formula" for f in content["findings"])
 
 
-UNITS = {"theta": "rad", "theta_dot": "rad/s", "x_dot": "m/s"}
-
-
 def test_every_term_of_the_library_is_of_the_grammar_and_has_one_spelling() -> None:
     rng = np.random.default_rng(0)
     names = ["theta", "theta_dot", "x_dot"]
-    terms = terms_of(names, {n: rng.normal(size=200) for n in names}, UNITS)
+    terms = terms_of(names, {n: rng.normal(size=200) for n in names}, {"theta": "rad"})
     texts = [
         "torque = " + " + ".join(f"c{n} {part}".strip() for n, part in enumerate(term.parts, 1))
         for term in terms
@@ -131,7 +128,15 @@ def test_every_term_of_the_library_is_of_the_grammar_and_has_one_spelling() -> N
         "torque = c1 pow(theta_dot, k1)",
         "torque = c1 pow(max(theta - k1, 0), k2)",
     } <= set(texts)
-    assert not {"torque = c1 pow(theta - k1, k2)", "torque = c1 pow(max(x_dot - k1, 0), k2)"} & set(texts)
+
+
+@pytest.mark.parametrize(
+    ("unit", "level", "pole"), [("rad", True, False), ("m/s", False, False), ("m", True, True)]
+)
+def test_a_speed_has_no_power_beyond_a_level_and_an_angle_no_pole(unit: str, level: bool, pole: bool) -> None:
+    values = {"v": np.random.default_rng(0).normal(size=200)}
+    parts = {part for term in terms_of(["v"], values, {"v": unit}) for part in term.parts}
+    assert ("pow(max(v - k1, 0), k2)" in parts, "pow(v - k1, k2)" in parts) == (level, pole)
 
 
 @pytest.mark.parametrize(

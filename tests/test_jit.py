@@ -14,9 +14,14 @@ def summed(values: np.ndarray) -> float:
     return total
 
 
-def test_without_a_folder_for_machine_code_it_is_compiled_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+def _keep_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Machine code of earlier runs is not found, and that of this one is not kept."""
     impl = next(c for c in vars(caching).values() if hasattr(c, "_locator_classes"))
     monkeypatch.setattr(impl, "_locator_classes", [])
+
+
+def test_without_a_folder_for_machine_code_it_is_compiled_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    _keep_nothing(monkeypatch)
     assert compiled(summed)(np.arange(4.0)) == 6.0
 
 
@@ -25,6 +30,7 @@ def test_a_division_by_nothing_is_infinite() -> None:
 
 
 def test_what_is_compiled_is_said_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    _keep_nothing(monkeypatch)
     said: list[str] = []
     monkeypatch.setattr("nsde_torch.jit.WHEN_COMPILING", [lambda: said.append("compiling")])
     for start in (0, 1.0):  # two types, each compiled
